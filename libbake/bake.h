@@ -250,8 +250,8 @@ struct bake_options {
     /** One of BAKE_DEVICE_NAMES; NULL or "": "cpu" if it needs no longer than a GPU takes to open,
      * about half a second, else "auto". */
     const char *device;
-    /** Most bytes of a GPU's memory to use; 0: all that is free. A larger grid is baked in passes.
-     * The processor reads the grid from its file and ignores this. */
+    /** Most bytes of a GPU's memory to use; 0: all that is free. The processor bakes a grid that
+     * needs more, after a warning: it reads the grid from its file. */
     uint64_t gpu_memory_bytes;
     /** Side of the tiles that OpenEXR files are made of, in texels, to BAKE_MAX_EXR_TILE;
      * 0: lines. */
@@ -426,7 +426,6 @@ struct bake_report {
     struct bake_id *ids; /**< The names that BAKE_MAP_ID has colours for, ascending. Vertex colours
                             have no names: they are their own ids. */
     uint64_t id_count;   /**< Entries of ids. */
-    uint64_t passes; /**< Passes over the map, each with a subgrid. 1: the whole grid at once. */
 };
 
 /** Checks everything that can be checked without opening a file; bake_run() does so too. Returns

@@ -228,9 +228,6 @@ static int print_report(const struct cli *cli, const struct bake_arguments *argu
     if (report->chunk_loads > 0)
         cli_print("scan: %s\n",
                   cli_counted_text(report->chunk_loads, "chunk loaded", "chunks loaded", samples));
-    if (report->passes > 1)
-        cli_print("passes: %s, because the grid is larger than the usable memory of the device\n",
-                  cli_count_text(report->passes, samples));
     cli_print_cost(cli);
 done:
     return status;
@@ -335,7 +332,7 @@ static json_t *report_json(const struct cli *cli, const struct bake_arguments *a
     const struct bake_options *bake = &arguments->bake;
     return json_pack(
         "{s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
-        " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I, s:I, s:o, s:f, s:f}",
+        " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I, s:o, s:f, s:f}",
         "scan_path", cli_json_text(bake->scan_path), "scan_paths",
         paths_json(bake->scan_path, bake->more_scan_paths, bake->more_scan_count), "mesh_path",
         cli_json_text(bake->mesh_path), "mesh_paths",
@@ -354,8 +351,8 @@ static json_t *report_json(const struct cli *cli, const struct bake_arguments *a
         CLI_VALUE(report, seconds_write), CLI_VALUE(report, seconds_preview),
         CLI_VALUE(report, seconds_upload), CLI_VALUE(report, seconds_kernels),
         CLI_VALUE(report, seconds_copies), CLI_COUNT(report, kernel_calls),
-        CLI_COUNT(report, chunk_loads), CLI_COUNT(report, passes), "unseen", unseen_json(report),
-        CLI_VALUE(report, texel), CLI_VALUE(report, voxel));
+        CLI_COUNT(report, chunk_loads), "unseen", unseen_json(report), CLI_VALUE(report, texel),
+        CLI_VALUE(report, voxel));
 }
 
 /* ---- comparisons with a reference ---- */

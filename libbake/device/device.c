@@ -1,4 +1,5 @@
-/* device.c - chooses a device by name; falls back from a GPU to native threads. */
+/* device.c - chooses a device by name; falls back from a GPU to native threads, also if the grid
+ * does not fit the GPU. */
 #include "libbake/device/device.h"
 
 #include <errno.h>
@@ -32,7 +33,6 @@ struct bake_device {
     pthread_mutex_t lock;          /* protects the opening of the fallback */
     struct bake_backend *fallback; /* native; NULL until it is needed */
     atomic_bool lost;              /* the backend failed; the fallback goes on */
-    unsigned slot;                 /* that patches are traced from */
     char name[256];                /* of the backend, and of the fallback that went on */
 };
 
@@ -74,35 +74,59 @@ bool bake_is_device_name(const char *name)
     return strcmp(name, "auto") == 0 || find_kind(name, &index);
 }
 
-/* Loads the whole grid if it fits; otherwise it is traced in passes. */
+static double mebibytes(uint64_t bytes)
+{
+    return (double)bytes / (1 << 20);
+}
+
+/* Fails with BSQ_RETRY if the grid does not fit an opened device. */
+static int check_space(struct bsq_ctx *ctx, const struct bake_backend *backend,
+                       const struct bake_grid_arrays *grid)
+{
+    if (grid->bytes > backend->memory_bytes)
+        return bsq_fail(ctx, BSQ_RETRY, "the grid needs %.1f MiB of memory, %s has %.1f MiB for it",
+                        mebibytes(grid->bytes), backend->name, mebibytes(backend->memory_bytes));
+    if (grid->largest > backend->buffer_bytes)
+        return bsq_fail(ctx, BSQ_RETRY,
+                        "the grid needs a buffer of %.1f MiB, those of %s have at most %.1f MiB",
+                        mebibytes(grid->largest), backend->name, mebibytes(backend->buffer_bytes));
+    return 0;
+}
+
+/* Copies the grid to a device with memory of its own. */
 static int load_grid(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_backend *backend)
 {
     char why[BAKE_WHY_BYTES] = "";
-    struct bake_subgrid whole;
-    uint64_t largest, total;
+    struct bake_grid_arrays grid;
     int status;
     if (!backend->load)
         return 0;
-    bake_subgrid_whole(job->grid, &job->params, &whole);
-    total = bake_subgrid_total(whole.bytes, &largest);
-    if (total > backend->memory_bytes || largest > backend->buffer_bytes)
-        return 0;
-    status = backend->load(backend, 0, &whole, why);
-    backend->holds_grid = status == 0;
+    bake_list_arrays(job, &grid);
+    status = check_space(ctx, backend, &grid);
+    if (status < 0)
+        return status;
+    status = backend->load(backend, &grid, why);
     return status < 0 ? bsq_fail(ctx, status, "%s: %s", backend->name, why) : 0;
 }
 
-static int open_loaded(struct bsq_ctx *ctx, const struct bake_device_kind *kind, uint32_t number,
-                       const struct bake_job *job, struct bake_backend **out)
+/* Opens a device and loads the grid. Errors: BSQ_RETRY if the grid does not fit; those of open()
+ * and load(). */
+static int open_loaded(struct bake_device *device, const struct bake_device_kind *kind,
+                       uint32_t number)
 {
-    int status = kind->open(ctx, number, job, out);
+    int status = kind->open(device->ctx, number, device->job, &device->backend);
     if (status == 0)
-        status = load_grid(ctx, job, *out);
-    if (status < 0 && *out) {
-        (*out)->close(*out);
-        *out = NULL;
+        status = load_grid(device->ctx, device->job, device->backend);
+    if (status < 0 && device->backend) {
+        device->backend->close(device->backend);
+        device->backend = NULL;
     }
     return status;
+}
+
+static int open_processor(struct bake_device *device)
+{
+    return bake_native_kind.open(device->ctx, 0, device->job, &device->backend);
 }
 
 /* ---- finding ---- */
@@ -142,16 +166,16 @@ static uint32_t number_of(const struct bake_device_kind *kind, const struct bake
     return parse(info->id, kind, &number) && number != ANY_DEVICE ? (uint32_t)number : 0;
 }
 
-/* Opens the first GPU of a kind that works; *out stays NULL if there is none. */
-static int open_gpu(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
-                    const struct bake_job *job, struct bake_backend **out)
+/* Opens the first GPU of a kind that works and holds the grid; there may be none. */
+static int open_gpu(struct bake_device *device, const struct bake_device_kind *kind)
 {
+    struct bsq_ctx *ctx = device->ctx;
     struct bake_device_list list;
     int status = list_or_warn(ctx, kind, &list);
-    for (uint32_t i = 0; i < list.count && status == 0 && !*out; i++) {
+    for (uint32_t i = 0; i < list.count && status == 0 && !device->backend; i++) {
         if (!list.devices[i].is_gpu)
             continue;
-        status = open_loaded(ctx, kind, number_of(kind, &list.devices[i]), job, out);
+        status = open_loaded(device, kind, number_of(kind, &list.devices[i]));
         if (status == BSQ_OK || status == BSQ_EINTR)
             continue;
         bsq_warn(ctx, "%s is not used: %s", list.devices[i].id, bsq_error(ctx));
@@ -165,13 +189,12 @@ static int open_gpu(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
 static int open_any(struct bake_device *device)
 {
     for (int i = 0; i < KINDS && !device->backend; i++) {
-        int status = open_gpu(device->ctx, kinds[i], device->job, &device->backend);
+        int status = open_gpu(device, kinds[i]);
         if (status < 0)
             return status;
     }
     device->automatic = device->backend != NULL;
-    return device->backend ? 0
-                           : bake_native_kind.open(device->ctx, 0, device->job, &device->backend);
+    return device->backend ? 0 : open_processor(device);
 }
 
 /* Finds the device with a number in a list, or the one to prefer for ANY_DEVICE: a GPU if there is
@@ -198,6 +221,7 @@ static int choose(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
     return 0;
 }
 
+/* Opens a device by its name. If the grid does not fit it, opens the processor, after a warning. */
 static int open_named(struct bake_device *device, const char *name)
 {
     int64_t wanted;
@@ -209,7 +233,12 @@ static int open_named(struct bake_device *device, const char *name)
         return bsq_fail(device->ctx, BSQ_EUSAGE, "device \"%s\" is not " BAKE_DEVICE_NAMES, name);
     BSQ_TRY(list_kind(device->ctx, kind, &list));
     BSQ_TRY(choose(device->ctx, kind, &list, wanted, &number));
-    status = open_loaded(device->ctx, kind, number, device->job, &device->backend);
+    status = open_loaded(device, kind, number);
+    if (status == BSQ_RETRY) {
+        bsq_warn(device->ctx, "%s: the processor bakes it", bsq_error(device->ctx));
+        bsq_clear_error(device->ctx);
+        status = open_processor(device);
+    }
 done:
     return status;
 }
@@ -242,12 +271,7 @@ const char *bake_device_name(const struct bake_device *device)
     return device->name;
 }
 
-/* ---- passes and patches ---- */
-
-bool bake_device_holds_grid(const struct bake_device *device)
-{
-    return !device->backend->load || device->backend->holds_grid || atomic_load(&device->lost);
-}
+/* ---- patches ---- */
 
 /* Opens the fallback and goes on with it from now on, after a warning. Returns false if the device
  * was named, or the processor cannot be opened. */
@@ -268,50 +292,6 @@ static bool fall_back(struct bake_device *device, const char *why)
     return atomic_load(&device->lost);
 }
 
-int bake_device_plan(struct bake_device *device, const struct bake_raster *raster,
-                     struct bake_plan *out)
-{
-    const struct bake_backend *backend = device->backend;
-    const struct bake_plan_options options = {.raster = raster,
-                                              .job = device->job,
-                                              .subgrid_bytes = backend->memory_bytes / BAKE_SLOTS,
-                                              .buffer_bytes = backend->buffer_bytes,
-                                              .other_bytes = backend->other_bytes,
-                                              .slots = BAKE_SLOTS};
-    int status;
-    *out = (struct bake_plan){0};
-    if (bake_device_holds_grid(device))
-        return 0;
-    status = bake_plan_passes(device->ctx, &options, out);
-    if (status != BSQ_ENODEVICE || !fall_back(device, bsq_error(device->ctx)))
-        return status;
-    bsq_clear_error(device->ctx);
-    bake_plan_free(device->ctx, out);
-    return 0;
-}
-
-int bake_device_load(struct bake_device *device, unsigned slot, const struct bake_subgrid *subgrid)
-{
-    char why[BAKE_WHY_BYTES] = "";
-    struct bake_backend *backend = device->backend;
-    int status;
-    if (atomic_load(&device->lost))
-        return 0;
-    status = backend->load(backend, slot, subgrid, why);
-    if (status == 0)
-        return 0;
-    if (status != BSQ_EINTR && fall_back(device, why)) {
-        bsq_clear_error(device->ctx);
-        return 0;
-    }
-    return bsq_fail(device->ctx, status, "%s: %s", backend->name, why);
-}
-
-void bake_device_use(struct bake_device *device, unsigned slot)
-{
-    device->slot = slot;
-}
-
 int bake_device_trace(struct bake_device *device, const struct bk_patch *patch,
                       const uint32_t *sample_triangles, float *texels, unsigned worker)
 {
@@ -320,13 +300,13 @@ int bake_device_trace(struct bake_device *device, const struct bk_patch *patch,
     int status;
     if (atomic_load(&device->lost))
         backend = device->fallback;
-    status = backend->trace(backend, device->slot, patch, sample_triangles, texels, worker, why);
+    status = backend->trace(backend, patch, sample_triangles, texels, worker, why);
     if (status == BSQ_OK)
         return 0;
     if (status == BSQ_EINTR || backend == device->fallback || !fall_back(device, why))
         return bsq_fail(device->ctx, status, "%s: %s", backend->name, why);
     backend = device->fallback;
-    return backend->trace(backend, device->slot, patch, sample_triangles, texels, worker, why);
+    return backend->trace(backend, patch, sample_triangles, texels, worker, why);
 }
 
 void bake_device_times(struct bake_device *device, struct bake_device_times *out)

@@ -1,42 +1,28 @@
 /* device.h - what traces patches: native threads or a GPU, behind one interface. The kernel in
  * libbake/kernel/ is the same for all.
  *
- * The public header of device/ for the rest of libbake. Takes a job (job/job.h); gives texels, and
- * for a grid that does not fit the device the passes to bake it in (subgrid/subgrid.h). Single rays
- * are traced on the processor (native/native.h). */
+ * The public header of device/ for the rest of libbake. Takes a job (job/job.h); gives texels.
+ * Single rays are traced on the processor (native/native.h). */
 #ifndef BAKE_DEVICE_DEVICE_H
 #define BAKE_DEVICE_DEVICE_H
 
 #include "libbake/device/backend/backend.h"
 #include "libbake/device/job/job.h"
 #include "libbake/device/native/native.h"
-#include "libbake/device/subgrid/subgrid.h"
 
 struct bake_device;
 
-/* Opens a device by its name on the command line (BAKE_DEVICE_NAMES) and loads the grid if it fits.
- * "auto" takes the first GPU that works, else the processor. If the GPU fails later, the processor
- * goes on. Errors: BSQ_ENODEVICE, with the devices that exist; BSQ_EUSAGE for any other name. */
+/* Opens a device by its name on the command line (BAKE_DEVICE_NAMES) and loads the grid. "auto"
+ * takes the first GPU that works and has memory for the grid, else the processor. If the GPU fails
+ * later, the processor goes on. If the grid does not fit a device that was named, the processor
+ * takes its place, after a warning. Errors: BSQ_ENODEVICE, with the devices that exist; BSQ_EUSAGE
+ * for any other name. */
 int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_job *job,
                      struct bake_device **out);
 void bake_device_close(struct bake_device *device); /* NULL is allowed */
 /* Returns the device's name; after it failed also that of the processor, which went on. Must not be
  * called while patches are traced. */
 const char *bake_device_name(const struct bake_device *device);
-
-/* Returns whether the device can trace any patch. Otherwise it needs passes. */
-bool bake_device_holds_grid(const struct bake_device *device);
-/* Plans passes over all patches of a raster; none if the device holds the grid. Free with
- * bake_plan_free(), also after a failure. Errors: BSQ_ENODEVICE if the device has too little
- * memory for a single texel and no fallback. */
-int bake_device_plan(struct bake_device *device, const struct bake_raster *raster,
-                     struct bake_plan *out);
-/* Loads a pass's subgrid into a slot (< BAKE_SLOTS), while other threads may trace patches from the
- * other one. */
-int bake_device_load(struct bake_device *device, unsigned slot, const struct bake_subgrid *subgrid);
-/* Chooses the slot that patches are traced from, at first 0. Must not be called while patches are
- * traced. */
-void bake_device_use(struct bake_device *device, unsigned slot);
 
 /* Traces one patch: sample_triangles in, width * height texels of
  * bk_texel_floats(params.maps) floats out, row 0 at the top. Several

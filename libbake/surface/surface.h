@@ -171,8 +171,8 @@ void bake_seen_report(const struct bake_seen *seen, const struct bake_surface *s
 /* Trace and resolve all patches of a map into its image: on a device, of the only scan, a grid; or
  * in batches of rays, on the processor. patches->triangles are in the surface's index space,
  * patches->params are the surface's. object_of: of each triangle; NULL unless surface->sees is set.
- * Add to the report what bake_patch_workers_end() adds, and passes. Errors: those of the
- * device, bake_surface_trace() and bake_image_write(). */
+ * Add to the report what bake_patch_workers_end() adds. Errors: those of the device,
+ * bake_surface_trace() and bake_image_write(). */
 int bake_trace_grid_patches(const struct bake_surface *surface, struct bake_device *device,
                             const struct bake_patches *patches, struct bake_report *report);
 int bake_trace_ray_patches(const struct bake_surface *surface, const struct bake_patches *patches,

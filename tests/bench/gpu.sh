@@ -86,11 +86,11 @@ echo
 
 # ---- bakes ----
 
-# bake DEVICE TYPE DESTINATION [OPTION VALUE]: bakes maps of an OpenEXR type; writes the report to a file.
+# bake DEVICE TYPE DESTINATION: bakes maps of an OpenEXR type; writes the report to a file.
 bake()
 {
-    bisque-bake --progress none --json --device "$1" --size $size --samples $samples "--$2" --maps normal,color,mask \
-        ${4:+"$4" "$5"} "$scan" low.obj -o "$1_<MAP>.exr" >"$3" 2>bake.err || {
+    bisque-bake --progress none --json --device "$1" --size $size --samples $samples --type "$2" --maps normal,color,mask \
+        "$scan" low.obj -o "$1_<MAP>.exr" >"$3" 2>bake.err || {
         say "$1: $(cat bake.err)"
         return 1
     }
@@ -128,20 +128,6 @@ agreement()
     fi
 }
 
-# passes: prints a line of a table for a bake in passes, with memory for the tiles and a quarter of the grid.
-passes()
-{
-    ! bake cuda float round.json --gpu-memory 1M 2>/dev/null || return 1
-    tiles=$(sed -n 's/.*take \([0-9]*\) bytes of the device.*/\1/p' bake.err)
-    [ -n "$tiles" ] && bake cuda float cuda.json --gpu-memory $((tiles + $(wc -c <"$scan") / 4)) || {
-        say "passes: $(cat bake.err)"
-        return 1
-    }
-    echo "With $((tiles + $(wc -c <"$scan") / 4)) bytes of the GPU's memory, $tiles of them for tiles: $(field passes cuda.json) passes," \
-        "$(seconds seconds cuda.json) s, trace $(seconds seconds_trace cuda.json) s, of it upload" \
-        "$(seconds seconds_upload cuda.json) s beside kernels of $(seconds seconds_kernels cuda.json) s; maps: $(agreement cuda)."
-}
-
 bakes()
 {
     echo "## Whole bakes: $size x $size texels, $samples x $samples samples, grid of $resolution voxels ($(wc -c <"$scan") bytes)"
@@ -176,8 +162,6 @@ bakes()
             echo "| $(agreement $device) |"
         fi
     done
-    echo
-    passes
     echo
 }
 

@@ -19,7 +19,6 @@ warned()
 "$TESTS/generate-scan" --offset 9,9,9 --triangles 20000 --colors vase -o vase.obj >/dev/null &&
     "$TESTS/generate-scan" --offset 9,9,9 vase-low -o low.obj >/dev/null &&
     "$BIN/bisque-voxelize" --resolution 500 vase.obj -o vase.nvdb >/dev/null || exit 1
-# Secondary rays are short, so that parts of the grid are enough for them.
 hits="--rays ao=5 --distance ao=0.02 --rays thickness=3 --distance thickness=0.02"
 maps="--size 160x96 --type float --maps all $hits vase.nvdb low.obj"
 names="normal color mask height position curvature ao bent thickness confidence"
@@ -61,34 +60,31 @@ if [ -s "$ptx" ]; then
     json '.device | startswith("cpu")'
     holds "a short bake asks no driver" [ ! -s "$err" ]
 
-    # In passes: the next subgrid must go up while this one is traced, or the first kernel would never end. The fake
-    # driver refuses kernels and copies that do not wait for each other.
+    # The processor bakes a grid that does not fit the device's memory, also if the user named the device. One line
+    # says so.
     cuda --device cuda --threads 2 $maps -o 'x_<MAP>.exr' --gpu-memory 1M
-    least=$(sed -n 's/.*--gpu-memory \([0-9]*\).*/\1/p; s/.*take \([0-9]*\) bytes of the device.*/\1/p' "$err")
-    FAKE_CUDA_HOLD=2 cuda --device cuda --threads 2 $maps -o 'passes_<MAP>.exr' --gpu-memory $((${least:-1} + 11000000)) --json
+    refused_like 69 'texels and the low-poly mesh take [0-9]+ bytes of the device.s memory, 1048576 are allowed'
+    other=$(sed -n 's/.*take \([0-9]*\) bytes of the device.*/\1/p' "$err")
+    few=$((${other:-1} + 1000000))
+    needs='the grid needs \([0-9.]*\) MiB of memory, Fake GPU 0 (CUDA) has 1\.0 MiB for it'
+    cuda --device cuda --threads 2 $maps -o 'few_<MAP>.exr' --gpu-memory $few --json
     code 0
-    json '.passes > 2 and .device == "Fake GPU 0 (CUDA)"'
+    json '.device == "cpu, 2 threads" and .kernel_calls == 0'
+    [ "$(wc -l <"$err")" -eq 1 ] && grep -qx "$p warning: $needs: the processor bakes it" "$err"
+    check "a line says that the grid does not fit" $?
     for map in $names; do
-        same cpu_$map.exr passes_$map.exr
+        same cpu_$map.exr few_$map.exr
     done
-
-    # Rays that may reach everything need the whole grid on the device.
-    far="--size 16 --maps ao --rays ao=3 vase.nvdb low.obj --gpu-memory $((${least:-1} + 11000000))"
-    cuda --device cuda $far -o x.exr
-    code 69
-    grep -q '^bisque-bake: rays that start on the scan reach all of the grid, and ' "$err"
-    check "rays that reach all of the grid are named" $?
-    cuda --device auto $far -o auto.exr
-    code 0
-    bake --device cpu $far -o cpu.exr
-    same auto.exr cpu.exr
-
-    # Freeing or allocating device memory may wait for the device. So passes allocate nothing: the low-poly mesh, two
-    # blocks for subgrids, and two arrays for each worker are all.
-    FAKE_CUDA_FAIL=cuMemAlloc_v2:8:2 cuda --device cuda --threads 2 $maps -o 'reused_<MAP>.exr' \
-        --gpu-memory $((${least:-1} + 11000000)) --json
-    code 0
-    json '.passes > 2 and .device == "Fake GPU 0 (CUDA)"'
+    all=$(sed -n "s/.*$needs.*/\1/p" "$err" | awk -v other="$other" '{ printf "%d", other + ($1 + 0.1) * 1048576 }')
+    cuda --device auto --threads 2 $maps -o 'auto_<MAP>.exr' --gpu-memory $few --json
+    json '.device == "cpu, 2 threads"'
+    grep -qx "$p warning: cuda:0 is not used: $needs" "$err"
+    check "a line says why a GPU that was found is not used" $?
+    same cpu_normal.exr auto_normal.exr
+    cuda --device cuda --threads 2 $maps -o 'all_<MAP>.exr' --gpu-memory "${all:-1}" --json
+    json '.device == "Fake GPU 0 (CUDA)"'
+    holds "the memory that the line names is enough" [ ! -s "$err" ]
+    same cpu_normal.exr all_normal.exr
 
     cuda --device cuda:1 $maps -o 'x_<MAP>.exr'
     refused 69 "$p there is no device cuda:1; there is cuda:0 Fake GPU 0"

@@ -113,16 +113,14 @@ for device in $("$BIN/bisque-bake" --list devices --json | jq -r '.devices[].id'
     ok $bake material.nvdb low.obj -o other.png --maps id --device "$device"
     same material_nvdb.png other.png
 done
-# A grid in passes: ids and colours are renumbered.
-ok $vox material.tris -o fine.nvdb --resolution 600 --channels id
-bake="run bisque-bake --size 16 --samples 2 --maps id,color fine.nvdb low.obj"
-ok $bake -o 'cpu_<MAP>.png'
-for memory in 64M 5M; do
-    LD_LIBRARY_PATH=$TESTS/fake ok $bake -o 'cuda_<MAP>.png' --device cuda --gpu-memory $memory --json
-    json ".passes $([ $memory = 5M ] && echo '>' || echo '==') 1"
+# On a device with memory of its own, ids follow the colours.
+if [ -s "$(ls "$BIN"/../gen/kernel-*.ptx 2>/dev/null | head -n 1)" ]; then
+    bake="run bisque-bake --size 16 --samples 2 --maps id,color material.nvdb low.obj"
+    ok $bake -o 'cpu_<MAP>.png'
+    LD_LIBRARY_PATH=$TESTS/fake ok $bake -o 'cuda_<MAP>.png' --device cuda
     same cpu_id.png cuda_id.png
     same cpu_color.png cuda_color.png
-done
+fi
 ok $vox sheet.obj -o again.nvdb --resolution 80 --channels id --threads 3 --memory 80M
 same material.tris again.tris
 same material.nvdb again.nvdb

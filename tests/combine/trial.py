@@ -41,7 +41,7 @@ class Trial:
 
     def __init__(self, random, inputs, tables):
         self.random, self.inputs, self.tables = random, inputs, tables
-        self.large = random.random() < 0.1  # tiles are cut into bands, blocks and passes
+        self.large = random.random() < 0.1  # tiles are cut into bands and blocks
         self.shape = meshes.Shape(random)
         self.tiles = random.choice([[0], [0], [0, 1], [0, 11]])
         self.object_count = random.choice([1, 1, 1, 2])

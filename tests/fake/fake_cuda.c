@@ -20,9 +20,7 @@
  * more, so do all later calls; if it is negative, the call raises that signal;
  *  - FAKE_CUDA_HANG=FILE: cuInit() writes the process's number to the file and never returns;
  *  - FAKE_CUDA_NS=N: a sample takes N nanoseconds of event time (default: real time);
- *  - FAKE_CUDA_HOURS=N: hours of event time that pass before the first kernel;
- *  - FAKE_CUDA_HOLD=N: the first kernel ends only after a copy was enqueued on an older stream that
- *    was waited for N times before; it fails after 20 seconds. */
+ *  - FAKE_CUDA_HOURS=N: hours of event time that pass before the first kernel. */
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -149,7 +147,6 @@ CUresult cuInit(unsigned flags)
     fake.capability = (int)setting("FAKE_CUDA_CAPABILITY", 90);
     fake.sample_seconds = 1e-9 * (double)setting("FAKE_CUDA_NS", 0);
     fake.hours = (double)setting("FAKE_CUDA_HOURS", 0);
-    fake.hold = (unsigned)setting("FAKE_CUDA_HOLD", 0);
     fake.sticky = 0;
     calls_left = 0;
     if (fail && sscanf(fail, "%63[^:]:%u:%d", failing_call, &calls_left, &failing_code) != 3)

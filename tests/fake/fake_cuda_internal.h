@@ -47,7 +47,6 @@ struct fake_cuda {
     size_t local_bytes; /* taken by the first launch */
     struct allocation *allocations;
     double sample_seconds, virtual_now, hours;
-    unsigned hold; /* FAKE_CUDA_HOLD; 0: not held */
 };
 extern struct fake_cuda fake;
 extern _Thread_local CUcontext fake_current;

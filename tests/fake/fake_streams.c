@@ -9,10 +9,9 @@
 #include "tests/fake/fake_cuda_internal.h"
 
 struct CUstream_st {
-    pthread_mutex_t lock;         /* protects the work and its execution */
-    unsigned number;              /* in the order of creation, from 1 */
-    unsigned waits, copies_since; /* calls that waited; copies enqueued after `hold` waits */
-    bool unsubmitted;             /* its last launch was not asked about */
+    pthread_mutex_t lock; /* protects the work and its execution */
+    unsigned number;      /* in the order of creation, from 1 */
+    bool unsubmitted;     /* its last launch was not asked about */
     struct work *first, *last;
     CUstream next;
 };
@@ -26,7 +25,6 @@ struct CUevent_st {
 static CUstream streams; /* protected by the lock */
 static struct CUstream_st default_stream = {.lock = PTHREAD_MUTEX_INITIALIZER};
 static unsigned streams_made;
-static pthread_cond_t released = PTHREAD_COND_INITIALIZER;
 
 /* Notes that a stream starts or ends work that uses memory. Requires the lock. Returns false if
  * another stream has pending work on the same memory and either writes: their order is undefined.
@@ -61,10 +59,6 @@ CUresult fake_append(CUstream stream, const struct work *work)
     stream->unsubmitted |= work->kind == LAUNCH;
     pthread_mutex_lock(&fake.lock);
     alone = note_uses(work, stream, 1);
-    if (work->kind == COPY && fake.hold && stream->waits >= fake.hold) {
-        stream->copies_since++;
-        pthread_cond_broadcast(&released);
-    }
     pthread_mutex_unlock(&fake.lock);
     copy = malloc(sizeof *copy);
     *copy = *work;
@@ -79,29 +73,6 @@ CUresult fake_append(CUstream stream, const struct work *work)
     if (!alone)
         fputs("fake CUDA: two streams use the same memory at the same time\n", stderr);
     return alone ? CUDA_SUCCESS : INVALID_VALUE;
-}
-
-/* Waits, in the first kernel, for the copy that FAKE_CUDA_HOLD asks for. */
-static CUresult hold_kernel(CUstream own)
-{
-    struct timespec end;
-    int late = 0;
-    bool copied = false;
-
-    clock_gettime(CLOCK_REALTIME, &end);
-    end.tv_sec += 20;
-    pthread_mutex_lock(&fake.lock);
-    while (fake.hold && !copied && !late) {
-        for (CUstream s = streams; s && !copied; s = s->next)
-            copied = s->number < own->number && s->copies_since > 0;
-        if (!copied)
-            late = pthread_cond_timedwait(&released, &fake.lock, &end);
-    }
-    fake.hold = 0;
-    if (late)
-        fake.sticky = 702; /* CUDA_ERROR_LAUNCH_TIMEOUT */
-    pthread_mutex_unlock(&fake.lock);
-    return late ? 702 : CUDA_SUCCESS;
 }
 
 static void run_work(struct work *work)
@@ -129,8 +100,6 @@ static void run_stream(CUstream stream, CUevent until)
         if (!stream->first)
             stream->last = NULL;
         run_work(work);
-        if (work->kind == LAUNCH)
-            hold_kernel(stream);
         pthread_mutex_lock(&fake.lock);
         note_uses(work, stream, -1);
         pthread_mutex_unlock(&fake.lock);
@@ -174,9 +143,6 @@ CUresult cuStreamQuery(CUstream stream)
 CUresult cuStreamSynchronize(CUstream stream)
 {
     run_stream(stream, NULL);
-    pthread_mutex_lock(&fake.lock);
-    stream->waits++;
-    pthread_mutex_unlock(&fake.lock);
     BEGIN_IN_CONTEXT;
     return CUDA_SUCCESS;
 }

@@ -21,7 +21,7 @@ export LD_LIBRARY_PATH
 "$BIN/generate-scan" --triangles 400000 --colors vase -o vase.obj >/dev/null &&
     "$BIN/generate-scan" vase-low -o low.obj >/dev/null || exit 1
 awk 'BEGIN { print "mtllib vase.mtl" }
-    /^f / && faces++ % 5000 == 0 { print "usemtl m" faces / 5000 % 4 }
+    /^f / && faces++ % 5000 == 0 { print "usemtl m" int(faces / 5000) % 4 }
     { print }' vase.obj >materials.obj
 awk 'BEGIN {
     for (m = 0; m < 4; m++)

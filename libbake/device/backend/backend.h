@@ -1,16 +1,12 @@
 /* backend.h - what each kind of device (a folder beside this one) implements for device.c.
  *
  * A kind exports one struct bake_device_kind; device.c has a row for it. Takes a job and, on
- * devices with memory of their own, subgrids; gives texels. */
+ * devices with memory of their own, the arrays of its grid; gives texels. */
 #ifndef BAKE_DEVICE_BACKEND_BACKEND_H
 #define BAKE_DEVICE_BACKEND_BACKEND_H
 
 #include "libbake/bake.h"
 #include "libbake/device/job/job.h"
-#include "libbake/device/subgrid/subgrid.h"
-
-/* Subgrids that a device holds at a time: one is traced while the next goes up. */
-enum { BAKE_SLOTS = 2 };
 
 enum { BAKE_WHY_BYTES = 512 };
 
@@ -28,19 +24,14 @@ struct bake_device_times {
 /* An opened device; the kind's own structure begins with it. */
 struct bake_backend {
     char name[128];
-    /* If load is not NULL: device memory for all loaded subgrids together, and for one array. */
+    /* If load is not NULL: device memory for the grid, and for one of its arrays. */
     uint64_t memory_bytes, buffer_bytes;
-    uint64_t other_bytes; /* device memory that the job uses besides */
-    bool holds_grid;      /* slot 0 has the whole grid; set by device.c */
-    /* Replaces what a slot holds by a subgrid. One thread calls this at a time; others may trace
-     * patches from the other slot. NULL: the device reads the mapped file. Failures as for trace().
-     */
-    int (*load)(struct bake_backend *backend, unsigned slot, const struct bake_subgrid *subgrid,
-                char *why);
-    /* Does what bake_device_trace() does, from one slot. Describes a failure in `why`
-     * (BAKE_WHY_BYTES) instead of recording it, since the caller may fall back to another device.
-     */
-    int (*trace)(struct bake_backend *backend, unsigned slot, const struct bk_patch *patch,
+    /* Copies the grid to the device, once before patches are traced. NULL: the device reads the
+     * mapped file. Failures as for trace(). */
+    int (*load)(struct bake_backend *backend, const struct bake_grid_arrays *grid, char *why);
+    /* Does what bake_device_trace() does. Describes a failure in `why` (BAKE_WHY_BYTES) instead of
+     * recording it, since the caller may fall back to another device. */
+    int (*trace)(struct bake_backend *backend, const struct bk_patch *patch,
                  const uint32_t *sample_triangles, float *texels, unsigned worker, char *why);
     /* Must not be called while patches are traced. NULL: the device is the processor. */
     void (*times)(struct bake_backend *backend, struct bake_device_times *out);

@@ -46,15 +46,6 @@ static uint64_t triangle_bytes(const struct bake_job *job)
     return job->triangle_count * (uint64_t)sizeof *job->triangles;
 }
 
-/* Arrays in a pool begin at multiples of this. A load of a warp's 32 numbers needs 128. */
-enum { ARRAY_ALIGNMENT = 256 };
-
-/* Returns the bytes that pools need besides their arrays' bytes. */
-static uint64_t pool_waste(const struct bake_compute *compute)
-{
-    return compute->calls->pools ? BAKE_SLOTS * BAKE_SUBGRID_ARRAYS * ARRAY_ALIGNMENT : 0;
-}
-
 /* Reserves bytes of the host's budget until the device is closed. */
 static int reserve(struct bake_compute *compute, const char *what, uint64_t bytes)
 {
@@ -69,7 +60,7 @@ static int share_memory(struct bake_compute *compute, const struct bake_job *job
 {
     const uint64_t samples = sample_bytes(compute, compute->patch_texels);
     const uint64_t triangles = triangle_bytes(job);
-    const uint64_t fixed = worker_bytes(compute) + triangles + pool_waste(compute);
+    const uint64_t fixed = worker_bytes(compute) + triangles;
     if (job->device_memory && job->device_memory < limit)
         limit = job->device_memory;
     if (triangles > buffer_bytes || samples > buffer_bytes)
@@ -85,7 +76,6 @@ static int share_memory(struct bake_compute *compute, const struct bake_job *job
                         "%" PRIu64 " are allowed: give more, or fewer --threads",
                         compute->device_name, fixed, limit);
     compute->base.memory_bytes = limit - fixed;
-    compute->base.other_bytes = fixed;
     compute->base.buffer_bytes = buffer_bytes;
     return compute->shares_memory
                ? reserve(compute, "patches on a device that shares host memory", fixed)
@@ -145,17 +135,16 @@ static int copy_share(void *arg, uint64_t index, unsigned worker)
 /* Copies on all threads, as one reads a mapped file several times slower than a device copies. */
 static int copy_in(const struct bake_compute *compute, struct copy copy)
 {
-    if (!compute->alone && copy.bytes > SHARE_BYTES)
+    if (copy.bytes > SHARE_BYTES)
         return bsq_parallel_for(compute->ctx, (copy.bytes + SHARE_BYTES - 1) / SHARE_BYTES,
                                 copy_share, &copy);
     memcpy(copy.to, copy.from, copy.bytes);
     return 0;
 }
 
-/* Appends data of the array that goes up: a sink of bake_subgrid_send(). */
-static int put(void *arg, const void *data, uint64_t bytes)
+/* Appends data to the array that goes up. */
+static int put(struct bake_compute *compute, const void *data, uint64_t bytes)
 {
-    struct bake_compute *compute = arg;
     const char *from = data;
     int status = 0;
     while (bytes > 0 && status == 0) {
@@ -196,94 +185,25 @@ done:
     return status == BSQ_ENODEVICE ? bake_compute_fail(compute, compute->upload_failure) : status;
 }
 
-/* Frees a subgrid's arrays, except a pool. */
-static void unload_arrays(struct bake_compute *compute, struct bake_compute_subgrid *subgrid)
-{
-    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++) {
-        if (subgrid->arrays[i] && !compute->calls->pools)
-            compute->calls->release(compute, subgrid->arrays[i]);
-        subgrid->arrays[i] = 0;
-    }
-    bsq_release(compute->ctx, subgrid->reserved_bytes);
-    subgrid->reserved_bytes = 0;
-}
-
-static void unload_subgrid(struct bake_compute *compute, struct bake_compute_subgrid *subgrid)
-{
-    unload_arrays(compute, subgrid);
-    if (subgrid->pool)
-        compute->calls->release(compute, subgrid->pool);
-    subgrid->pool = subgrid->pool_bytes = 0;
-}
-
-/* Replaces a pool. */
-static int allocate_pool(struct bake_compute *compute, struct bake_compute_subgrid *to,
-                         uint64_t bytes)
+static int load_grid(struct bake_compute *compute, const struct bake_grid_arrays *grid,
+                     const char **what)
 {
     int status;
-    unload_subgrid(compute, to);
-    status = note_failure(compute, compute->calls->allocate(compute, bytes, &to->pool));
-    to->pool_bytes = status == 0 ? bytes : 0;
-    return status;
-}
-
-/* Provides memory for the arrays: for each alone, or in a pool. A pool for passes fits the
- * subgrids of all passes, if there is memory for it. */
-static int allocate_arrays(struct bake_compute *compute, struct bake_compute_subgrid *to,
-                           const struct bake_subgrid *subgrid, const char **what)
-{
-    const uint64_t pass = (compute->base.memory_bytes + pool_waste(compute)) / BAKE_SLOTS;
-    uint64_t bytes = 0, at = 0;
-    int status = 0;
-    for (int i = 0; i < BAKE_SUBGRID_ARRAYS && !compute->calls->pools; i++) {
-        *what = bake_subgrid_array_name(i);
-        BSQ_TRY(note_failure(compute,
-                             compute->calls->allocate(compute, subgrid->bytes[i], &to->arrays[i])));
-    }
-    if (!compute->calls->pools)
-        return 0;
-    *what = "memory for the grid";
-    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
-        bytes += bsq_align_up(subgrid->bytes[i], ARRAY_ALIGNMENT);
-    if (bytes > to->pool_bytes &&
-        (subgrid->whole || pass <= bytes || allocate_pool(compute, to, pass) < 0))
-        BSQ_TRY(allocate_pool(compute, to, bytes));
-    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++) {
-        to->arrays[i] = subgrid->bytes[i] ? to->pool + at : 0;
-        at += bsq_align_up(subgrid->bytes[i], ARRAY_ALIGNMENT);
-    }
-done:
-    return status;
-}
-
-static int reserve_subgrid(struct bake_compute *compute, struct bake_compute_subgrid *to,
-                           const struct bake_subgrid *subgrid)
-{
-    uint64_t largest;
-    const uint64_t total = bake_subgrid_total(subgrid->bytes, &largest);
-    int status = bsq_reserve(compute->ctx, "grid on a device that shares host memory", total);
-    if (status == 0)
-        to->reserved_bytes = total;
-    return status;
-}
-
-static int load_subgrid(struct bake_compute *compute, struct bake_compute_subgrid *to,
-                        const struct bake_subgrid *subgrid, const char **what)
-{
-    int status;
-    *what = "grid";
-    if (compute->calls->attach)
-        BSQ_TRY(note_failure(compute, compute->calls->attach(compute)));
-    unload_arrays(compute, to);
     *what = "memory that the device shares";
     if (compute->shares_memory)
-        BSQ_TRY(reserve_subgrid(compute, to, subgrid));
-    to->params = subgrid->params;
-    BSQ_TRY(allocate_arrays(compute, to, subgrid, what));
-    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++) {
-        *what = bake_subgrid_array_name(i);
-        begin_upload(compute, to->arrays[i]);
-        BSQ_TRY(bake_subgrid_send(subgrid, i, put, compute));
+        BSQ_TRY(reserve(compute, "grid on a device that shares host memory", grid->bytes));
+    compute->params = grid->params;
+    for (int i = 0; i < BAKE_GRID_ARRAYS; i++) {
+        *what = grid->arrays[i].name;
+        BSQ_TRY(note_failure(compute, compute->calls->allocate(compute, grid->arrays[i].bytes,
+                                                               &compute->arrays[i])));
+    }
+    for (int i = 0; i < BAKE_GRID_ARRAYS; i++) {
+        const struct bake_grid_array *array = &grid->arrays[i];
+        *what = array->name;
+        begin_upload(compute, compute->arrays[i]);
+        for (int k = 0; k < BAKE_ARRAY_PARTS; k++)
+            BSQ_TRY(put(compute, array->parts[k].data, array->parts[k].bytes));
         BSQ_TRY(flush(compute));
     }
     status = finish_upload(compute);
@@ -301,17 +221,15 @@ static void describe_failure(const struct bake_compute *compute, const char *wha
                           : bsq_error(compute->ctx));
 }
 
-static int compute_load(struct bake_backend *backend, unsigned slot,
-                        const struct bake_subgrid *subgrid, char *why)
+static int compute_load(struct bake_backend *backend, const struct bake_grid_arrays *grid,
+                        char *why)
 {
     struct bake_compute *compute = (struct bake_compute *)backend;
     const double started = bsq_seconds_now();
     const char *what;
     int status;
-    /* A whole grid goes up before any tracing; subgrids while the other threads trace. */
-    compute->alone = !subgrid->whole;
     compute->upload_failure = BAKE_NO_FAILURE;
-    status = load_subgrid(compute, &compute->slots[slot], subgrid, &what);
+    status = load_grid(compute, grid, &what);
     if (status < 0) {
         (void)compute->calls->finish(compute, upload_stream(compute));
         describe_failure(compute, what, compute->upload_failure, why);
@@ -341,7 +259,6 @@ static uint64_t launch_samples(const struct bk_params *params)
 }
 
 static struct bake_failure launch_batches(struct bake_compute *compute, struct bake_stream *stream,
-                                          const struct bake_compute_subgrid *subgrid,
                                           const struct bk_patch *patch)
 {
     const uint32_t n = compute->params.samples, lines = launch_lines(&compute->params);
@@ -354,7 +271,7 @@ static struct bake_failure launch_batches(struct bake_compute *compute, struct b
                                                         row + min_u32(rows, patch->height - row),
                                                     .first_line = line,
                                                     .end_line = line + min_u32(lines, n - line)};
-            BAKE_TRY_CALL(compute->calls->launch(compute, stream, subgrid, patch, &batch));
+            BAKE_TRY_CALL(compute->calls->launch(compute, stream, patch, &batch));
             stream->launches++;
         }
     return BAKE_NO_FAILURE;
@@ -398,7 +315,6 @@ static struct bake_failure open_worker(struct bake_compute *compute, struct bake
 
 /* Enqueues a patch's copies and kernels on the worker's stream and waits for them. */
 static struct bake_failure trace_patch(struct bake_compute *compute, struct bake_stream *stream,
-                                       const struct bake_compute_subgrid *subgrid,
                                        const struct bk_patch *patch,
                                        const uint32_t *sample_triangles, float *texels)
 {
@@ -412,7 +328,7 @@ static struct bake_failure trace_patch(struct bake_compute *compute, struct bake
     memcpy(stream->host[0], sample_triangles, bytes);
     BAKE_TRY_CALL(
         calls->send(compute, stream, stream->host[0], bytes, stream->samples, 0, BAKE_SAMPLES));
-    BAKE_TRY_CALL(launch_batches(compute, stream, subgrid, patch));
+    BAKE_TRY_CALL(launch_batches(compute, stream, patch));
     BAKE_TRY_CALL(calls->fetch(compute, stream, texel_bytes(compute, texel_count)));
     BAKE_TRY_CALL(calls->wait(compute, stream, BAKE_TEXELS));
     memcpy(texels, stream->host[0], texel_bytes(compute, texel_count));
@@ -421,7 +337,7 @@ static struct bake_failure trace_patch(struct bake_compute *compute, struct bake
     return BAKE_NO_FAILURE;
 }
 
-static int compute_trace(struct bake_backend *backend, unsigned slot, const struct bk_patch *patch,
+static int compute_trace(struct bake_backend *backend, const struct bk_patch *patch,
                          const uint32_t *sample_triangles, float *texels, unsigned worker,
                          char *why)
 {
@@ -434,7 +350,7 @@ static int compute_trace(struct bake_backend *backend, unsigned slot, const stru
     }
     struct bake_stream *stream = &compute->streams[worker];
     const struct bake_failure failure =
-        trace_patch(compute, stream, &compute->slots[slot], patch, sample_triangles, texels);
+        trace_patch(compute, stream, patch, sample_triangles, texels);
     if (failure.code == 0)
         return 0;
     if (!stream->open)
@@ -515,8 +431,9 @@ void bake_compute_unload(struct bake_compute *compute)
     for (unsigned i = 0; compute->streams && i <= compute->worker_count; i++)
         if (compute->streams[i].open)
             close_stream(compute, &compute->streams[i]);
-    for (int i = 0; i < BAKE_SLOTS; i++)
-        unload_subgrid(compute, &compute->slots[i]);
+    for (int i = 0; i < BAKE_GRID_ARRAYS; i++)
+        if (compute->arrays[i])
+            compute->calls->release(compute, compute->arrays[i]);
     if (compute->triangles)
         compute->calls->release(compute, compute->triangles);
 }

@@ -1,6 +1,6 @@
 /* compute.h - what all devices with memory and streams of their own share, whatever their API.
  *
- * Takes struct bake_compute_calls from the API's folder, a job and subgrids; gives a struct
+ * Takes struct bake_compute_calls from the API's folder and a job; gives a struct
  * bake_backend. The grid goes up through a staging buffer, workers trace patches in launch batches,
  * and the device's clock tells how long they took. */
 #ifndef BAKE_DEVICE_COMPUTE_COMPUTE_H
@@ -92,15 +92,6 @@ double bake_time_spans_seconds(struct bake_time_spans *spans);
 /* Device memory, as the API names it; 0: none. */
 typedef uint64_t bake_memory;
 
-/* A subgrid on the device. */
-struct bake_compute_subgrid {
-    bake_memory arrays[BAKE_SUBGRID_ARRAYS];
-    bake_memory pool; /* that has all arrays, if the API's `pools` is set */
-    uint64_t pool_bytes;
-    struct bk_params params;
-    uint64_t reserved_bytes; /* of host memory, on devices that share it */
-};
-
 /* Steps of a patch, in the order in which a stream does them. */
 enum { BAKE_SAMPLES, BAKE_KERNELS, BAKE_TEXELS, BAKE_STEPS };
 
@@ -146,10 +137,7 @@ struct bake_compute_calls {
     /* Lets the calling thread use the device. NULL: every thread may. */
     struct bake_failure (*attach)(struct bake_compute *compute);
 
-    /* Memory is a number, to which offsets can be added, and allocating or freeing it waits for the
-     * device. Then all arrays of a slot are in one pool, which later subgrids reuse. */
-    bool pools;
-    /* `bytes` is 0 for arrays that the kernel does not read; not if `pools` is set. */
+    /* `bytes` is 0 for arrays that the kernel does not read; *out may be 0 then. */
     struct bake_failure (*allocate)(struct bake_compute *compute, uint64_t bytes, bake_memory *out);
     void (*release)(struct bake_compute *compute, bake_memory memory);
 
@@ -165,7 +153,6 @@ struct bake_compute_calls {
                                 const char *from, uint64_t bytes, bake_memory to, uint64_t at,
                                 int step);
     struct bake_failure (*launch)(struct bake_compute *compute, struct bake_stream *stream,
-                                  const struct bake_compute_subgrid *subgrid,
                                   const struct bk_patch *patch,
                                   const struct bake_launch_batch *batch);
     struct bake_failure (*fetch)(struct bake_compute *compute, struct bake_stream *stream,
@@ -185,8 +172,8 @@ struct bake_compute {
     char device_name[128]; /* for messages */
     bool shares_memory;    /* with the host: allocations count for the job's budget */
     bake_memory triangles;
-    struct bake_compute_subgrid slots[BAKE_SLOTS];
-    struct bk_params params;
+    bake_memory arrays[BAKE_GRID_ARRAYS];
+    struct bk_params params; /* the job's; from load() on, for these arrays */
     uint32_t patch_texels;
     unsigned worker_count;
     struct bake_stream *streams; /* of the workers, and then that of uploads */
@@ -195,7 +182,6 @@ struct bake_compute {
      * the device copies the other, so the host never copies anything larger. */
     unsigned filling;      /* the half that is being filled */
     uint64_t used;         /* bytes of it */
-    bool alone;            /* the calling thread fills a half by itself, while the others trace */
     bake_memory upload_to; /* array that is being sent, and the bytes sent so far */
     uint64_t upload_at;
     struct bake_failure upload_failure;

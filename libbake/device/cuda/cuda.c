@@ -64,7 +64,8 @@ static struct bake_failure cuda_allocate(struct bake_compute *compute, uint64_t 
 {
     struct cuda *cuda = (struct cuda *)compute;
     CUdeviceptr memory = 0;
-    CALL(cuMemAlloc, &memory, bytes);
+    if (bytes > 0)
+        CALL(cuMemAlloc, &memory, bytes);
     *out = memory;
     return BAKE_NO_FAILURE;
 }
@@ -176,15 +177,14 @@ static struct bake_failure cuda_finish(struct bake_compute *compute, struct bake
 }
 
 static struct bake_failure cuda_launch(struct bake_compute *compute, struct bake_stream *stream,
-                                       const struct bake_compute_subgrid *subgrid,
                                        const struct bk_patch *patch,
                                        const struct bake_launch_batch *batch)
 {
     struct cuda *cuda = (struct cuda *)compute;
     CUstream own = ((struct stream *)stream->own)->stream;
-    CUdeviceptr a[BAKE_SUBGRID_ARRAYS], triangles = compute->triangles;
+    CUdeviceptr a[BAKE_GRID_ARRAYS], triangles = compute->triangles;
     CUdeviceptr samples = stream->samples, texels = stream->texels;
-    struct bk_params params = subgrid->params;
+    struct bk_params params = compute->params;
     struct bk_patch whole = *patch;
     struct bake_launch_batch b = *batch;
     void *arguments[] = {&a[BAKE_TILES],   &a[BAKE_UPPERS], &a[BAKE_LOWERS], &a[BAKE_LEAVES],
@@ -193,8 +193,8 @@ static struct bake_failure cuda_launch(struct bake_compute *compute, struct bake
                          &b.end_row,       &b.first_line,   &b.end_line,     &samples,
                          &texels};
     CUresult code;
-    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
-        a[i] = subgrid->arrays[i];
+    for (int i = 0; i < BAKE_GRID_ARRAYS; i++)
+        a[i] = compute->arrays[i];
     code = cuda->api.cuLaunchKernel(cuda->kernel, (patch->width + BLOCK_WIDTH - 1) / BLOCK_WIDTH,
                                     (b.end_row - b.first_row + BLOCK_HEIGHT - 1) / BLOCK_HEIGHT, 1,
                                     BLOCK_WIDTH, BLOCK_HEIGHT, 1, 0, own, arguments, NULL);
@@ -227,7 +227,6 @@ static struct bake_failure cuda_times(struct bake_compute *compute, struct bake_
 
 static const struct bake_compute_calls calls = {.describe = cuda_describe,
                                                 .attach = cuda_attach,
-                                                .pools = true,
                                                 .allocate = cuda_allocate,
                                                 .release = cuda_release,
                                                 .stream_bytes = sizeof(struct stream),

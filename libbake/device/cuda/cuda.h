@@ -1,4 +1,4 @@
-/* cuda.h - NVIDIA GPUs as devices, through the driver API. Takes a job and subgrids; gives texels.
+/* cuda.h - NVIDIA GPUs as devices, through the driver API. Takes a job; gives texels.
  */
 #ifndef BAKE_DEVICE_CUDA_CUDA_H
 #define BAKE_DEVICE_CUDA_CUDA_H

@@ -85,6 +85,47 @@ void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *
     out->srgb = bk_srgb;
 }
 
+/* On a device, ids follow the colours without a gap, and channels follow these. */
+static void set_offsets(const struct fmt_nvdb_grid *grid, struct bk_params *params)
+{
+    const uint64_t colors = grid->colors ? grid->record_count : 0;
+    const uint64_t ids = grid->ids ? grid->record_count : 0;
+    split(grid->ids ? colors : 0, params->id_offset);
+    split(colors + ids, params->channel_offset);
+}
+
+void bake_list_arrays(const struct bake_job *job, struct bake_grid_arrays *out)
+{
+    const struct fmt_nvdb_grid *g = job->grid;
+    const uint64_t records = g->record_count * sizeof(uint32_t);
+    const uint64_t transfers = g->transfer_count * sizeof *g->transfers;
+    const bool colors = g->colors || g->ids || g->channels || transfers > 0;
+    *out = (struct bake_grid_arrays){
+        .params = job->params,
+        .arrays = {
+            [BAKE_TILES] = {"root tiles", {{g->tiles, g->tile_count * BK_TILE_WORDS * 8ull}}},
+            [BAKE_UPPERS] = {"upper nodes", {{g->uppers, g->upper_count * BK_UPPER_WORDS * 8ull}}},
+            [BAKE_LOWERS] = {"lower nodes", {{g->lowers, g->lower_count * BK_LOWER_WORDS * 8ull}}},
+            [BAKE_LEAVES] = {"leaves", {{g->leaves, g->leaf_count * BK_LEAF_WORDS * 8ull}}},
+            [BAKE_NORMALS] = {"normals", {{g->normals, records}}},
+            [BAKE_PLANES] = {"planes", {{g->planes, records}}},
+            [BAKE_COLORS] = {"colors",
+                             {{bk_srgb, colors ? sizeof bk_srgb : 0},
+                              {g->transfers, transfers},
+                              {g->colors, g->colors ? records : 0},
+                              {g->ids, g->ids ? records : 0},
+                              {g->channels, g->channels ? records * g->channel_words : 0}}},
+            [BAKE_SECONDS] = {"second records", {{g->seconds, (g->voxel_count / 32 + 1) * 8}}}}};
+    set_offsets(g, &out->params);
+    for (int i = 0; i < BAKE_GRID_ARRAYS; i++) {
+        struct bake_grid_array *array = &out->arrays[i];
+        for (int k = 0; k < BAKE_ARRAY_PARTS; k++)
+            array->bytes += array->parts[k].bytes;
+        out->bytes += array->bytes;
+        out->largest = array->bytes > out->largest ? array->bytes : out->largest;
+    }
+}
+
 /* ---- nodes ---- */
 
 /* Returns the number of child n of a node; its level's first node is `distance` bytes before that
@@ -98,7 +139,7 @@ static uint32_t child_of(const uint64_t *words, uint64_t node_at, uint32_t mask,
     return number < count ? (uint32_t)number : BK_NONE;
 }
 
-uint32_t bake_upper_lower(const struct fmt_nvdb_grid *grid, uint32_t upper, uint32_t n)
+static uint32_t upper_lower(const struct fmt_nvdb_grid *grid, uint32_t upper, uint32_t n)
 {
     const uint64_t at = (uint64_t)upper * BK_UPPER_WORDS * 8;
     return child_of((const uint64_t *)(const void *)(grid->uppers + at), at, BK_UPPER_CHILD_MASK,
@@ -114,28 +155,21 @@ uint32_t bake_lower_leaf(const struct fmt_nvdb_grid *grid, uint32_t lower, uint3
                     grid->leaf_count);
 }
 
-const uint64_t *bake_lower_children(const struct fmt_nvdb_grid *grid, uint32_t lower)
-{
-    const uint64_t at = (uint64_t)lower * BK_LOWER_WORDS * 8;
-    return (const uint64_t *)(const void *)(grid->lowers + at) + BK_LOWER_CHILD_MASK;
-}
-
 static int visit_upper(const struct fmt_nvdb_grid *grid, uint32_t upper, const int32_t origin[3],
-                       const int32_t low[3], const int32_t high[3], bake_node_visit *visit,
-                       void *arg)
+                       bake_node_visit *visit, void *arg)
 {
     uint32_t first[3], last[3];
     int status = 0;
     for (int k = 0; k < 3; k++) {
-        const int64_t a = ((int64_t)low[k] - origin[k]) >> BK_LOWER_LOG2;
-        const int64_t b = ((int64_t)high[k] - origin[k]) >> BK_LOWER_LOG2;
+        const int64_t a = ((int64_t)grid->index_min[k] - origin[k]) >> BK_LOWER_LOG2;
+        const int64_t b = ((int64_t)grid->index_max[k] - origin[k]) >> BK_LOWER_LOG2;
         first[k] = a < 0 ? 0 : (uint32_t)a;
         last[k] = b > 31 ? 31 : (uint32_t)b;
     }
     for (uint32_t x = first[0]; x <= last[0]; x++)
         for (uint32_t y = first[1]; y <= last[1]; y++)
             for (uint32_t z = first[2]; status == 0 && z <= last[2]; z++) {
-                const uint32_t lower = bake_upper_lower(grid, upper, x << 10 | y << 5 | z);
+                const uint32_t lower = upper_lower(grid, upper, x << 10 | y << 5 | z);
                 const int32_t at[3] = {origin[0] + (int32_t)(x << BK_LOWER_LOG2),
                                        origin[1] + (int32_t)(y << BK_LOWER_LOG2),
                                        origin[2] + (int32_t)(z << BK_LOWER_LOG2)};
@@ -151,8 +185,7 @@ static int32_t tile_origin(uint64_t key, uint32_t shift)
     return (int32_t)(bits << BK_UPPER_LOG2);
 }
 
-int bake_visit_nodes(const struct fmt_nvdb_grid *grid, const int32_t low[3], const int32_t high[3],
-                     bake_node_visit *visit, void *arg)
+int bake_visit_nodes(const struct fmt_nvdb_grid *grid, bake_node_visit *visit, void *arg)
 {
     const uint64_t *tiles = (const uint64_t *)(const void *)grid->tiles;
     int status = 0;
@@ -163,10 +196,10 @@ int bake_visit_nodes(const struct fmt_nvdb_grid *grid, const int32_t low[3], con
         const int32_t origin[3] = {tile_origin(key, 42), tile_origin(key, 21), tile_origin(key, 0)};
         bool inside = child != 0 && upper < grid->upper_count;
         for (int k = 0; k < 3; k++)
-            inside = inside && high[k] >= origin[k] &&
-                     low[k] <= (int64_t)origin[k] + (1 << BK_UPPER_LOG2) - 1;
+            inside = inside && grid->index_max[k] >= origin[k] &&
+                     grid->index_min[k] <= (int64_t)origin[k] + (1 << BK_UPPER_LOG2) - 1;
         if (inside)
-            status = visit_upper(grid, (uint32_t)upper, origin, low, high, visit, arg);
+            status = visit_upper(grid, (uint32_t)upper, origin, visit, arg);
     }
     return status;
 }

@@ -1,7 +1,8 @@
 /* job.h - what a device traces: the grid, the low-poly mesh's triangles and the parameters.
  *
  * Takes an open grid file (formats/grid); gives the kernel's parameters and array pointers for it,
- * and its nodes. Every other folder of device/ uses this one. */
+ * the arrays that a device with memory of its own takes, and its nodes. Every other folder of
+ * device/ uses this one. */
 #ifndef BAKE_DEVICE_JOB_JOB_H
 #define BAKE_DEVICE_JOB_JOB_H
 
@@ -36,6 +37,41 @@ void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *p
 void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
                       struct bk_grid *out);
 
+/* Arrays of a grid, in the order of the kernel's arguments. */
+enum {
+    BAKE_TILES,
+    BAKE_UPPERS,
+    BAKE_LOWERS,
+    BAKE_LEAVES,
+    BAKE_NORMALS,
+    BAKE_PLANES,
+    BAKE_COLORS, /* also ids and channels, and the kernel's tables for them */
+    BAKE_SECONDS,
+    BAKE_GRID_ARRAYS
+};
+
+enum { BAKE_ARRAY_PARTS = 5 };
+
+/* An array in the memory of a device: parts of the grid's file, one after another. */
+struct bake_grid_array {
+    const char *name; /* for messages */
+    struct {
+        const void *data;
+        uint64_t bytes;
+    } parts[BAKE_ARRAY_PARTS];
+    uint64_t bytes; /* of all parts; 0: the kernel does not read the array */
+};
+
+/* A grid in the memory of a device. */
+struct bake_grid_arrays {
+    struct bake_grid_array arrays[BAKE_GRID_ARRAYS];
+    uint64_t bytes, largest; /* of all arrays, and of the largest one */
+    struct bk_params params; /* the job's, for these arrays */
+};
+
+/* Lists the arrays of a job's grid, which stay valid while its file is open. Allocates nothing. */
+void bake_list_arrays(const struct bake_job *job, struct bake_grid_arrays *out);
+
 /* Rays of a grid with one range of t and one facing rule: of the hits with t in [t_min, t_max] the
  * one that bk_nearest() chooses wins. Surfaces that face the other way are ignored, unless
  * params->flags has BK_TWO_SIDED, which turns their normals round. */
@@ -54,21 +90,14 @@ struct bake_ray_batch {
 
 /* ---- nodes of a grid ---- */
 
-enum { BAKE_MASK_WORDS = 64 }; /* one bit for each child of a lower node */
-
-/* Calls visit() for each lower node of a grid that overlaps voxels low .. high (inclusive). origin:
- * the node's lowest voxel. Returns the first result of visit() that is not 0, after which it stops.
- */
+/* Calls visit() for each lower node of a grid that overlaps its bounds. origin: the node's lowest
+ * voxel. Returns the first result of visit() that is not 0, after which it stops. */
 typedef int bake_node_visit(void *arg, uint32_t lower, const int32_t origin[3]);
-int bake_visit_nodes(const struct fmt_nvdb_grid *grid, const int32_t low[3], const int32_t high[3],
-                     bake_node_visit *visit, void *arg);
+int bake_visit_nodes(const struct fmt_nvdb_grid *grid, bake_node_visit *visit, void *arg);
 
-/* Return the number of child n of an upper or of a lower node; BK_NONE if there is none, or if the
- * grid has no such node: the file may change while it is read. */
-uint32_t bake_upper_lower(const struct fmt_nvdb_grid *grid, uint32_t upper, uint32_t n);
+/* Returns the number of child n of a lower node; BK_NONE if there is none, or if the grid has no
+ * such node: the file may change while it is read. */
 uint32_t bake_lower_leaf(const struct fmt_nvdb_grid *grid, uint32_t lower, uint32_t n);
-/* Returns the mask of the leaves of a lower node: BAKE_MASK_WORDS words in the grid's file. */
-const uint64_t *bake_lower_children(const struct fmt_nvdb_grid *grid, uint32_t lower);
 
 /* Returns the cost of a sample, secondary rays included, in pairs of primary rays. */
 uint32_t bake_sample_cost(const struct bk_params *params);

@@ -97,8 +97,7 @@ static int add_lower(void *arg, uint32_t lower, const int32_t origin[3])
 
 static int list_lowers(struct builder *builder)
 {
-    const struct fmt_nvdb_grid *grid = builder->grid;
-    int status = bake_visit_nodes(grid, grid->index_min, grid->index_max, add_lower, builder);
+    int status = bake_visit_nodes(builder->grid, add_lower, builder);
     bsq_sort(builder->lowers, builder->lower_count, sizeof *builder->lowers, by_morton_order);
     return status;
 }

@@ -35,7 +35,7 @@ static uint32_t band_rows(uint64_t row_pairs)
     return rows >= BAKE_NATIVE_SQUARE ? (uint32_t)(rows - rows % BAKE_NATIVE_SQUARE) : 1;
 }
 
-static int native_trace(struct bake_backend *backend, unsigned slot, const struct bk_patch *patch,
+static int native_trace(struct bake_backend *backend, const struct bk_patch *patch,
                         const uint32_t *sample_triangles, float *texels, unsigned worker, char *why)
 {
     struct native *native = (struct native *)backend;
@@ -45,7 +45,6 @@ static int native_trace(struct bake_backend *backend, unsigned slot, const struc
 
     struct bake_native_memory memory = {0};
 
-    (void)slot;
     (void)why;
     if (native->streams)
         memory = (struct bake_native_memory){&native->tree, &native->streams[worker],

@@ -185,7 +185,6 @@ static struct bake_failure opencl_finish(struct bake_compute *compute, struct ba
 }
 
 static struct bake_failure opencl_launch(struct bake_compute *compute, struct bake_stream *stream,
-                                         const struct bake_compute_subgrid *subgrid,
                                          const struct bk_patch *patch,
                                          const struct bake_launch_batch *batch)
 {
@@ -197,7 +196,7 @@ static struct bake_failure opencl_launch(struct bake_compute *compute, struct ba
         size_t bytes;
         const void *value;
     } arguments[] = {{sizeof(cl_mem), &triangles},
-                     {sizeof subgrid->params, &subgrid->params},
+                     {sizeof compute->params, &compute->params},
                      {sizeof *patch, patch},
                      {sizeof batch->first_row, &batch->first_row},
                      {sizeof batch->end_row, &batch->end_row},
@@ -209,8 +208,8 @@ static struct bake_failure opencl_launch(struct bake_compute *compute, struct ba
                             bsq_align_up(batch->end_row - batch->first_row, own->group[1])};
     const bool first = batch->first_row == 0 && batch->first_line == 0;
     cl_uint argument = 0;
-    for (; argument < BAKE_SUBGRID_ARRAYS; argument++) {
-        const cl_mem array = buffer_of(subgrid->arrays[argument]);
+    for (; argument < BAKE_GRID_ARRAYS; argument++) {
+        const cl_mem array = buffer_of(compute->arrays[argument]);
         CALL(clSetKernelArg, own->kernel, argument, sizeof(cl_mem), &array);
     }
     for (size_t i = 0; i < sizeof arguments / sizeof *arguments; i++)

@@ -1,4 +1,4 @@
-/* opencl.h - OpenCL 1.2 devices. Takes a job and subgrids; gives texels. */
+/* opencl.h - OpenCL 1.2 devices. Takes a job; gives texels. */
 #ifndef BAKE_DEVICE_OPENCL_OPENCL_H
 #define BAKE_DEVICE_OPENCL_OPENCL_H
 

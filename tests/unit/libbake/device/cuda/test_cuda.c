@@ -1,6 +1,7 @@
 /* test_cuda.c - the CUDA device, with a driver that needs no GPU (tests/fake/fake_cuda.c): it gives
  * the processor's bits, and failures have messages. */
 #include <dlfcn.h>
+#include <inttypes.h>
 #include <link.h>
 #include <sys/wait.h>
 
@@ -76,17 +77,6 @@ static void assert_same(const struct sheet_texel *a, const struct sheet_texel *b
     assert_memory_equal(a, b, count * sizeof *a);
 }
 
-static uint64_t grid_bytes(const struct fixture *f)
-{
-    struct bake_subgrid whole;
-    uint64_t sum = 0;
-
-    bake_subgrid_whole(&f->grid, &f->job.params, &whole);
-    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
-        sum += whole.bytes[i];
-    return sum;
-}
-
 FIXTURE_TEST(test_same_bits)
 {
     struct fixture *f = *state;
@@ -111,15 +101,14 @@ static struct bake_device_times times_of(struct fixture *f, int patches, struct 
     const struct bk_patch patch = {.width = WIDTH, .height = HEIGHT};
     struct bake_device_times times;
     struct bake_backend *backend;
-    struct bake_subgrid whole;
+    struct bake_grid_arrays grid;
     char why[BAKE_WHY_BYTES];
 
     assert_int_equal(bake_cuda_kind.open(f->ctx, 0, &f->job, &backend), 0);
-    bake_subgrid_whole(&f->grid, &f->job.params, &whole);
-    assert_int_equal(backend->load(backend, 0, &whole, why), 0);
+    bake_list_arrays(&f->job, &grid);
+    assert_int_equal(backend->load(backend, &grid, why), 0);
     for (int i = 0; i < patches; i++)
-        assert_int_equal(backend->trace(backend, 0, &patch, f->samples, (float *)texels, 0, why),
-                         0);
+        assert_int_equal(backend->trace(backend, &patch, f->samples, (float *)texels, 0, why), 0);
     backend->times(backend, &times);
     backend->close(backend);
     return times;
@@ -165,33 +154,49 @@ FIXTURE_TEST(test_times_after_days)
     free(cuda);
 }
 
-/* A grid that would take all of the memory is traced in passes, since the driver needs some. */
-FIXTURE_TEST(test_memory_for_the_driver)
+/* Opens a named device in a context that keeps warnings, with this much memory; returns its texels.
+ */
+static struct sheet_texel *trace_with(struct fixture *f, uint64_t memory_bytes)
 {
-    struct fixture *f = *state;
-    struct bake_backend *backend;
-    struct bake_device *device;
-    uint64_t other;
+    struct bsq_ctx *ctx = f->ctx;
+    struct sheet_texel *texels;
     char bytes[32];
 
+    snprintf(bytes, sizeof bytes, "%" PRIu64, memory_bytes);
+    setenv("FAKE_CUDA_MEMORY", bytes, 1);
+    f->ctx = create_context(0);
+    texels = traced_sheet_trace(f, "cuda", 0);
+    test_context_end(f->ctx);
+    f->ctx = ctx;
+    return texels;
+}
+
+/* A grid that takes all of the memory is baked by the processor, since the driver needs some, and a
+ * line says so. */
+FIXTURE_TEST(test_memory_for_the_driver)
+{
+    const uint64_t all = 1 << 30;
+    struct fixture *f = *state;
+    struct sheet_texel *native = traced_sheet_trace(f, "cpu", 0), *cuda;
+    struct bake_grid_arrays grid;
+    struct bake_backend *backend;
+    uint64_t needed;
+
+    setenv("FAKE_CUDA_MEMORY", "1073741824", 1);
     assert_int_equal(bake_cuda_kind.open(f->ctx, 0, &f->job, &backend), 0);
-    other = backend->other_bytes;
+    bake_list_arrays(&f->job, &grid);
+    needed = all / 16 * 15 - backend->memory_bytes + grid.bytes; /* texels and triangles, too */
     backend->close(backend);
-    snprintf(bytes, sizeof bytes, "%llu", (unsigned long long)(other + grid_bytes(f)));
-    setenv("FAKE_CUDA_MEMORY", bytes, 1);
-    assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
-    assert_false(bake_device_holds_grid(device));
-    bake_device_close(device);
-    snprintf(bytes, sizeof bytes, "%llu",
-             (unsigned long long)(other + grid_bytes(f)) / 15 * 16 + 32);
-    setenv("FAKE_CUDA_MEMORY", bytes, 1);
-    {
-        struct sheet_texel *native = traced_sheet_trace(f, "cpu", 0);
-        struct sheet_texel *cuda = traced_sheet_trace(f, "cuda", 0);
-        assert_same(native, cuda, TEXELS);
-        free(native);
-        free(cuda);
-    }
+    cuda = trace_with(f, needed);
+    assert_same(native, cuda, TEXELS);
+    assert_non_null(strstr(warnings, "the grid needs "));
+    assert_non_null(strstr(warnings, " MiB for it: the processor bakes it\n"));
+    free(cuda);
+    cuda = trace_with(f, needed / 15 * 16 + 32);
+    assert_same(native, cuda, TEXELS);
+    assert_string_equal(warnings, "");
+    free(cuda);
+    free(native);
 }
 
 /* Several launches trace a texel that has many samples. */
@@ -322,12 +327,12 @@ FIXTURE_TEST(test_opening_fails)
 }
 
 /* Each call of a patch fails in turn, which is an error if the user named the device. The numbers
- * skip the calls that open the device: it uploads nine arrays through two halves of a staging
- * buffer. */
+ * skip the calls that open the device: it uploads nine arrays, the triangles and those of the grid,
+ * through two halves of a staging buffer. */
 FIXTURE_TEST(test_tracing_fails)
 {
     static const char *const calls[] = {
-        "cuCtxSetCurrent:3",      "cuStreamCreate:2",        "cuMemAlloc_v2:3",
+        "cuCtxSetCurrent:2",      "cuStreamCreate:2",        "cuMemAlloc_v2:10",
         "cuMemAllocHost_v2:3",    "cuMemcpyHtoDAsync_v2:10", "cuLaunchKernel:1",
         "cuMemcpyDtoHAsync_v2:1", "cuEventElapsedTime:2",    "cuStreamQuery:1"};
     struct fixture *f = *state;
