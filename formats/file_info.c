@@ -290,7 +290,7 @@ static int describe_tris(struct bsq_ctx *ctx, const char *path, json_t **out)
     for (uint32_t c = 0; c < h->channel_count; c++)
         add_once(channels, h->channels[c]);
     *out = json_pack("{s:s, s:I, s:o, s:I, s:I, s:I, s:b, s:b, s:b, s:b, s:s?, s:I, s:o, s:o}",
-                     "format", "chunk file", "version", (json_int_t)fmt_tris_version(h), "box",
+                     "format", "chunk file", "version", (json_int_t)FMT_TRIS_VERSION, "box",
                      box_json(min, max), "triangles", (json_int_t)h->triangle_count, "chunks",
                      (json_int_t)h->chunk_count, "source_faces", (json_int_t)h->source_faces,
                      "normals", (int)!!(h->attributes & FMT_TRIS_NORMALS), "texture_coordinates",

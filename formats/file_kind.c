@@ -62,7 +62,7 @@ static int verify_tris(struct bsq_ctx *ctx, const char *path, struct fmt_verify_
     if (status < 0)
         return status;
     const struct fmt_tris_header *header = fmt_tris_get_header(file);
-    report->version = fmt_tris_version(header);
+    report->version = FMT_TRIS_VERSION;
     report->triangles = header->triangle_count;
     report->chunks = header->chunk_count;
     bsq_progress_begin(ctx, "verifying", "bytes", report->file_bytes);

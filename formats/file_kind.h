@@ -44,7 +44,7 @@ struct fmt_verify_report {
 };
 
 /** Recognises a file by its content, reads it whole, and checks everything that FORMATS.md
- * requires: versions, checksums, structure. Memory: a chunk for each thread and 112 bytes for each
+ * requires: versions, checksums, structure. Memory: a chunk for each thread and 144 bytes for each
  * chunk's entry; of a grid, a few pages of its map at a time. Errors: BSQ_ENOINPUT; BSQ_EDATA with
  * one line that says what is wrong and where, or what the file is instead. */
 int fmt_verify(struct bsq_ctx *ctx, const char *path, struct fmt_verify_report *report);

@@ -3,7 +3,8 @@
  * Textures and meshes have no checksums, and are read wholly: 0.14 s for each GB that the system
  * has in memory (AMD EPYC), and as long as the disk takes otherwise. Chunk files and grids may be
  * larger than all else, and a task that reads one on another machine must not read 100 GB of it
- * twice. Whoever opens one checks what it uses by the checksums in it. */
+ * twice. The header of a chunk file has a checksum that covers those of all chunks, by which each
+ * chunk is checked when it is loaded. */
 #include "formats/fingerprint.h"
 
 #include <inttypes.h>
@@ -13,9 +14,11 @@
 #include <time.h>
 #include <xxhash.h>
 
+#include "formats/chunks/tris.h"
 #include "formats/file_kind.h"
 
-/* The header of a chunk file is in its first bytes, the record of a grid in its last ones. */
+/* The first bytes of a grid have its counts; the last ones are its trailer, which has a checksum of
+ * each section. */
 enum { BUFFER_BYTES = 1 << 20, WHOLE_BYTES = 64 << 20, END_BYTES = 4096 };
 
 /* Adds the bytes from `begin` to `end` to a checksum. buffer: BUFFER_BYTES. */
@@ -33,27 +36,50 @@ done:
     return status;
 }
 
+/* Adds the checksum of a chunk file, whose header, materials and table are checked. */
+static int add_checksum(struct bsq_ctx *ctx, const char *path, XXH3_state_t *state)
+{
+    struct fmt_tris_file *chunks;
+    const int status = fmt_tris_open(ctx, path, &chunks);
+    if (status < 0)
+        return status;
+    const uint64_t checksum = fmt_tris_checksum(chunks);
+    XXH3_128bits_update(state, &checksum, sizeof checksum);
+    fmt_tris_close(chunks);
+    return 0;
+}
+
+/* Adds a file that is no chunk file: all bytes, but of a large grid both ends. */
+static int add_file(struct bsq_ctx *ctx, const struct bsq_file *file, enum fmt_kind kind,
+                    XXH3_state_t *state)
+{
+    const bool whole = kind != FMT_KIND_NVDB || file->size <= WHOLE_BYTES;
+    void *buffer = NULL;
+    int status;
+    BSQ_TRY(bsq_alloc(ctx, "checksum of a file", 1, BUFFER_BYTES, &buffer));
+    BSQ_TRY(add_bytes(ctx, file, 0, whole ? file->size : END_BYTES, buffer, state));
+    if (!whole)
+        status = add_bytes(ctx, file, file->size - END_BYTES, file->size, buffer, state);
+done:
+    bsq_free(ctx, buffer);
+    return status;
+}
+
 static int hash_file(struct bsq_ctx *ctx, const struct bsq_file *file, enum fmt_kind kind,
                      char hash[33])
 {
-    const bool has_checksums = kind == FMT_KIND_TRIS || kind == FMT_KIND_NVDB;
-    const bool whole = !has_checksums || file->size <= WHOLE_BYTES;
     XXH3_state_t *state = XXH3_createState();
-    void *buffer = NULL;
-    int status = 0;
+    int status;
     if (!state || XXH3_128bits_reset(state) != XXH_OK) {
         XXH3_freeState(state);
         return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", file->path);
     }
-    BSQ_TRY(bsq_alloc(ctx, "checksum of a file", 1, BUFFER_BYTES, &buffer));
-    BSQ_TRY(add_bytes(ctx, file, 0, whole ? file->size : END_BYTES, buffer, state));
-    if (!whole)
-        BSQ_TRY(add_bytes(ctx, file, file->size - END_BYTES, file->size, buffer, state));
+    BSQ_TRY(kind == FMT_KIND_TRIS ? add_checksum(ctx, file->path, state)
+                                  : add_file(ctx, file, kind, state));
     BSQ_TRY(bsq_file_check(ctx, file));
     const XXH128_hash_t digest = XXH3_128bits_digest(state);
     snprintf(hash, 33, "%016" PRIx64 "%016" PRIx64, digest.high64, digest.low64);
 done:
-    bsq_free(ctx, buffer);
     XXH3_freeState(state);
     return status;
 }

@@ -10,9 +10,9 @@ struct fmt_fingerprint {
     char identity[BSQ_IDENTITY_BYTES]; /* bsq_identity_text(); "" if the file is not settled */
 };
 
-/* Computes the fingerprint of an input from all of its bytes. Of chunk files and grids above 64 MiB
- * it reads both ends only, which hold checksums of all the rest. Errors: those of bsq_file_open()
- * and bsq_file_read(), BSQ_ENOMEM. */
+/* Computes the fingerprint of an input: of a chunk file from the checksum of its header, which it
+ * opens to check it; of a grid above 64 MiB from both ends, which have checksums of the rest; else
+ * from all bytes. Errors: those of bsq_file_open(), bsq_file_read() and fmt_tris_open(). */
 int fmt_fingerprint(struct bsq_ctx *ctx, const char *path, struct fmt_fingerprint *out);
 
 /* Sets *same if an input has the size and the content of a fingerprint. Reads it only if it has

@@ -33,8 +33,8 @@
 
 /* Samples are spread evenly over a file, and overlap in small files. */
 enum { SAMPLES = 64, SAMPLE_BYTES = 64 << 10 };
-/* Offset of the checksum in a chunk file's header, which covers those of all tables. */
-enum { TRIS_CHECKSUM_AT = 144 };
+/* Offset of the checksum in a chunk file's header, which covers those of all other parts. */
+enum { TRIS_CHECKSUM_AT = 168 };
 /* Offset of the text in a line: after a kind of 3 and a hash of 16 characters. */
 enum { TEXT_AT = 21 };
 

@@ -294,7 +294,7 @@ static int write_chunks(const struct scan *scan, const struct partition *partiti
         .materials = scan->materials,
         .ids = scan->ids,
         .channel_count = scan->channel_count,
-        .has_images = options->embed_textures,
+        .embeds_images = options->embed_textures,
     };
     struct fmt_tris_writer *writer = NULL;
     struct batches_report batches = {0};

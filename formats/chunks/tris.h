@@ -17,16 +17,7 @@ enum fmt_tris_attribute {
     FMT_TRIS_SAMPLES = 16   /* coarse surfaces, see fmt_tris_load_sample() */
 };
 
-/* Version 2 has what version 1 has, and ids. Version 3 has further channels and textures whose
- * coordinates move, and may have ids. Version 4 also has textures with a factor, or that do not
- * repeat. Version 5 has what version 4 has, and images. Version 6 has samples, and may have the
- * rest. A file has the least version that it needs. */
-#define FMT_TRIS_VERSION          1u
-#define FMT_TRIS_VERSION_IDS      2u
-#define FMT_TRIS_VERSION_CHANNELS 3u
-#define FMT_TRIS_VERSION_FACTORS  4u
-#define FMT_TRIS_VERSION_IMAGES   5u
-#define FMT_TRIS_VERSION_SAMPLES  6u
+#define FMT_TRIS_VERSION 7u /* the only one that is read */
 
 /* Scans of at least this many faces get samples. In smaller ones, a sample would be too coarse for
  * a map, and reading all of it takes no time. */
@@ -68,13 +59,10 @@ struct fmt_tris_header {
     /* By name: that of a triangle's material, or "" without one. By colour: of the vertices. */
     enum bsq_ids ids;
     uint32_t channel_count;
-    char **channels; /* names, see base/channels.h */
-    bool has_images; /* the file holds images of its textures; for a writer: embed those that are
-                        single files, if there are any */
+    char **channels;    /* names, see base/channels.h */
+    bool embeds_images; /* for a writer: copy those images of textures that are single files */
 };
 
-/* Returns the version that a file with this header has. */
-uint32_t fmt_tris_version(const struct fmt_tris_header *header);
 /* Returns the number of a channel, or UINT32_MAX. */
 uint32_t fmt_tris_find_channel(const struct fmt_tris_header *header, const char *name);
 
@@ -84,6 +72,8 @@ struct fmt_tris_chunk_info {
     uint64_t first_triangle; /* number of its first triangle in the file */
     uint32_t triangle_count, vertex_count;
     float bounds_min[3], bounds_max[3]; /* of its triangles, relative to origin */
+    uint64_t checksum;                  /* of its bytes */
+    uint64_t sample_checksum;           /* of its sample's bytes; 0: it has none */
 };
 
 /* A chunk in memory. Attributes that the file does not have are NULL. */
@@ -161,6 +151,9 @@ int fmt_tris_require_ids(const struct fmt_tris_file *file);
 int fmt_tris_require_channel(const struct fmt_tris_file *file, const char *name);
 void fmt_tris_close(struct fmt_tris_file *file);
 const struct fmt_tris_header *fmt_tris_get_header(const struct fmt_tris_file *file);
+/* Returns the checksum of a single file's header, which covers those of all other parts. So files
+ * with the same one have the same bytes, unless one is damaged. */
+uint64_t fmt_tris_checksum(const struct fmt_tris_file *file);
 /* Returns the chunk table: chunk_count entries, owned by the file. */
 const struct fmt_tris_chunk_info *fmt_tris_chunks(const struct fmt_tris_file *file);
 /* Return the bytes of scratch that fmt_tris_load() needs for a chunk, and for the largest chunk. */

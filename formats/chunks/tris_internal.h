@@ -27,71 +27,43 @@ struct tris_file_header {
     double origin[3];
     float bounds_min[3];
     float bounds_max[3];
-    uint64_t materials_offset; /* materials and table are the last two parts of the file */
+    uint64_t chunks_offset; /* images are before the chunks, materials and table after them */
+    uint64_t materials_offset;
     uint64_t table_offset;
     uint64_t file_bytes;
     uint32_t material_count;
-    uint32_t reserved;
-    uint64_t materials_checksum; /* of [materials_offset, table_offset) */
-    uint64_t table_checksum;     /* of [table_offset, file_bytes) */
-    uint64_t header_checksum;    /* of all bytes of the header before this field */
-};
-_Static_assert(sizeof(struct tris_file_header) == 152, "the header has no padding");
-
-struct tris_material_entry { /* followed by path_bytes bytes */
-    float diffuse[3];
-    uint32_t path_bytes;
-};
-_Static_assert(sizeof(struct tris_material_entry) == 16, "the entry has no padding");
-
-/* Version 2: before the materials, and after each material's path. */
-struct tris_ids_entry {
-    uint32_t ids; /* enum bsq_ids, not BSQ_IDS_NONE */
-    uint32_t reserved;
-};
-_Static_assert(sizeof(struct tris_ids_entry) == 8, "the entry has no padding");
-
-/* Version 4 has TRIS_TINTED. There, the flags, and the component of a source, also have how the
- * image wraps: enum bsq_wrap of u and v, in two bits each from this one on. */
-enum { TRIS_COLORLESS = 1, TRIS_TINTED = 2, TRIS_WRAP_SHIFT = 8 };
-
-struct tris_name_entry { /* followed by name_bytes bytes */
-    uint32_t flags;
-    uint32_t name_bytes;
-};
-_Static_assert(sizeof(struct tris_name_entry) == 8, "the entry has no padding");
-
-/* Version 3: after the ids; then each channel's name: uint32_t bytes, and these bytes. */
-struct tris_channels_entry {
     uint32_t channel_count;
+    uint32_t ids; /* enum bsq_ids */
     uint32_t reserved;
+    uint64_t images_checksum; /* of the bytes from the header's end to chunks_offset */
+    uint64_t materials_checksum;
+    uint64_t table_checksum;
+    uint64_t header_checksum; /* of all bytes of the header before this field */
 };
-_Static_assert(sizeof(struct tris_channels_entry) == 8, "the entry has no padding");
+_Static_assert(sizeof(struct tris_file_header) == 176, "the header has no padding");
 
-/* Version 3: after a material's name. */
-struct tris_uv_entry {
+/* What a material, and each of its channels, has first. */
+struct tris_source_entry {
+    float value[3]; /* of a material: diffuse */
+    uint32_t bits;  /* the component of a channel, or flags of a material; see TRIS_WRAP_SHIFT */
     float scale[2], offset[2];
-};
-_Static_assert(sizeof(struct tris_uv_entry) == 16, "the entry has no padding");
-
-/* Version 3: after that, one for each channel. */
-struct tris_source_entry { /* followed by path_bytes bytes */
-    float value[3];
-    uint32_t component;
-    struct tris_uv_entry uv;
-    uint32_t path_bytes;
+    uint32_t path_bytes; /* of the path, which follows */
 };
 _Static_assert(sizeof(struct tris_source_entry) == 36, "the entry has no padding");
 
-/* Entries of the table are in the file as they are in memory. */
-_Static_assert(sizeof(struct fmt_tris_chunk_info) == 56, "the entry has no padding");
+/* Returns the bytes of a material at least. Its name's length and the name follow the first entry,
+ * then there is an entry for each channel. */
+static inline uint64_t tris_material_bytes(uint32_t channels)
+{
+    return sizeof(struct tris_source_entry) * (channels + UINT64_C(1)) + sizeof(uint32_t);
+}
 
-struct tris_chunk_header {
-    uint64_t checksum; /* of all bytes of the chunk after this field */
-    uint32_t triangle_count;
-    uint32_t vertex_count;
-};
-_Static_assert(sizeof(struct tris_chunk_header) == 16, "the chunk header has no padding");
+/* Flags of a material. From bit TRIS_WRAP_SHIFT on, `bits` says how the image wraps: enum bsq_wrap
+ * of u and v, in two bits each; then a bit if it is sRGB. */
+enum { TRIS_COLORLESS = 1, TRIS_TINTED = 2, TRIS_WRAP_SHIFT = 8 };
+
+/* Entries of the table are in the file as they are in memory. */
+_Static_assert(sizeof(struct fmt_tris_chunk_info) == 72, "the entry has no padding");
 
 /* A record of a sample. Coordinates are in units of 1/65535 of the chunk's bounds. */
 struct tris_surfel {
@@ -109,10 +81,10 @@ static inline uint32_t tris_surfel_count(uint32_t triangles)
     return (triangles + TRIS_SURFEL_RUN - 1) / TRIS_SURFEL_RUN;
 }
 
-/* Returns its bytes: a checksum and the records. */
+/* Returns its bytes. */
 static inline uint64_t tris_sample_bytes(uint32_t triangles)
 {
-    return sizeof(uint64_t) + tris_surfel_count(triangles) * sizeof(struct tris_surfel);
+    return tris_surfel_count(triangles) * sizeof(struct tris_surfel);
 }
 
 /* Corners and triangles that a record stands for at most. */
@@ -153,9 +125,9 @@ static inline void tris_set_values(const struct tris_attribute *attribute,
 
 /* Offsets of the arrays of a chunk, from its first byte; attributes it lacks take no bytes. */
 struct tris_layout {
-    uint64_t positions, values[TRIS_ATTRIBUTE_COUNT], triangles;
-    uint64_t end;   /* of the triangles */
-    uint64_t bytes; /* end, rounded up to 8 */
+    uint64_t values[TRIS_ATTRIBUTE_COUNT], triangles; /* positions are first */
+    uint64_t end;                                     /* of the triangles */
+    uint64_t bytes;                                   /* end, rounded up to 8 */
     bool short_indices;
 };
 
@@ -184,9 +156,9 @@ struct fmt_tris_file {
     struct fmt_tris_source *sources; /* of all materials; NULL: there are none */
     char **images;                   /* names of embedded images, as parts of this file; owned */
     uint64_t image_count, image_capacity;
-    uint64_t images_end; /* of the images and their checksum; 0: there are none */
+    uint64_t chunks_offset, images_checksum; /* of the header, like the next one */
+    uint64_t checksum;
     uint64_t load_size_max;
-    uint64_t checksum; /* of the header, which has those of all tables */
     /* Of several files as one scan; then `file` has only a path, that of the first part. */
     struct tris_part *parts;
     uint32_t part_count;
@@ -196,8 +168,7 @@ struct fmt_tris_file {
 
 /* ---- tris_load.c ---- */
 
-/* Reads bytes of the file as it was when it was opened. The checksum of a chunk is beside its
- * bytes, so it cannot tell that another file took the place. */
+/* Reads bytes of the file as it was when it was opened. */
 int fmt_tris_read_unchanged(const struct fmt_tris_file *file, void *to, uint64_t bytes,
                             uint64_t offset);
 
@@ -207,8 +178,6 @@ int fmt_tris_read_unchanged(const struct fmt_tris_file *file, void *to, uint64_t
  * too. */
 void fmt_tris_make_sample(const struct fmt_tris_chunk *chunk,
                           const struct fmt_tris_chunk_info *info, uint8_t *out);
-/* Returns whether the checksum of a sample matches. */
-bool fmt_tris_sample_valid(const void *sample, uint32_t triangles);
 
 /* ---- tris_parts.c ---- */
 
@@ -234,8 +203,7 @@ static inline struct tris_layout tris_chunk_layout(uint32_t attributes, uint32_t
 {
     uint64_t nv = vertex_count, nt = triangle_count;
     struct tris_layout l = {.short_indices = vertex_count <= TRIS_SHORT_VERTICES,
-                            .positions = sizeof(struct tris_chunk_header)};
-    l.triangles = l.positions + 12 * nv;
+                            .triangles = 12 * nv};
     for (int i = 0; i < TRIS_ATTRIBUTE_COUNT; i++) {
         const struct tris_attribute *attribute = &fmt_tris_attributes[i];
         l.values[i] = l.triangles;

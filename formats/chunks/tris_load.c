@@ -120,7 +120,7 @@ static int damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const
 static void place_chunk(struct fmt_tris_chunk *out, const uint8_t *bytes,
                         const struct tris_layout *l, uint32_t attributes)
 {
-    out->positions = (const float(*)[3])(const void *)(bytes + l->positions);
+    out->positions = (const float(*)[3])(const void *)bytes;
     for (int i = 0; i < TRIS_ATTRIBUTE_COUNT; i++)
         if (attributes & fmt_tris_attributes[i].flag)
             tris_set_values(&fmt_tris_attributes[i], out, bytes + l->values[i]);
@@ -148,12 +148,8 @@ int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratc
     int status = fmt_tris_read_unchanged(file, bytes, l.bytes, info->offset);
     if (status < 0)
         return status;
-    struct tris_chunk_header header;
-    memcpy(&header, bytes, sizeof header);
-    if (XXH3_64bits(bytes + 8, l.bytes - 8) != header.checksum)
+    if (XXH3_64bits(bytes, l.bytes) != info->checksum)
         return damaged_chunk(file, index, "the checksum does not match");
-    if (header.triangle_count != info->triangle_count || header.vertex_count != info->vertex_count)
-        return damaged_chunk(file, index, "its counts are not those of the table");
     if (!all_zero(bytes + l.end, l.bytes - l.end))
         return damaged_chunk(file, index, "its padding is not zero");
     out->triangle_count = info->triangle_count;
@@ -228,11 +224,12 @@ static bool colors_opaque(const struct fmt_tris_chunk *chunk)
 static const char *fault_of(const struct fmt_tris_chunk *chunk,
                             const struct fmt_tris_chunk_info *info, uint8_t *used)
 {
+    const uint64_t sample_bytes = tris_sample_bytes(chunk->triangle_count);
     if (!bounds_exact(chunk, info))
         return "its bounds are not those of its vertices";
     if (!all_used(chunk, used))
         return "a vertex is not used";
-    if (chunk->samples && !fmt_tris_sample_valid(chunk->samples, chunk->triangle_count))
+    if (chunk->samples && XXH3_64bits(chunk->samples, sample_bytes) != info->sample_checksum)
         return "its sample's checksum does not match";
     if (!normals_valid(chunk))
         return "a normal is not valid";
@@ -274,27 +271,21 @@ static int verify_bounds(const struct verify *v)
     return 0;
 }
 
-/* Checks the embedded images. Their checksum follows them in the file. */
 static int verify_images(const struct verify *v)
 {
-    const uint64_t begin = sizeof(struct tris_file_header), end = v->file->images_end;
+    const uint64_t end = v->file->chunks_offset;
     uint8_t buffer[16384];
-    uint64_t stored;
     int status = 0;
-    if (end == 0)
-        return 0;
     XXH3_state_t *hash = XXH3_createState();
     if (!hash || XXH3_64bits_reset(hash) != XXH_OK)
         BSQ_TRY(bsq_fail(v->ctx, BSQ_ENOMEM, "no memory for the checksum of images"));
-    for (uint64_t at = begin, size; at < end - sizeof stored; at += size) {
-        size = end - sizeof stored - at;
-        size = size < sizeof buffer ? size : sizeof buffer;
+    for (uint64_t at = sizeof(struct tris_file_header), size; at < end; at += size) {
+        size = end - at < sizeof buffer ? end - at : sizeof buffer;
         BSQ_TRY(bsq_check(v->ctx));
         BSQ_TRY(fmt_tris_read_unchanged(v->file, buffer, size, at));
         XXH3_64bits_update(hash, buffer, size);
     }
-    BSQ_TRY(fmt_tris_read_unchanged(v->file, &stored, sizeof stored, end - sizeof stored));
-    if (XXH3_64bits_digest(hash) != stored)
+    if (XXH3_64bits_digest(hash) != v->file->images_checksum)
         status = fmt_tris_damaged(v->file, "the images' checksum does not match");
 done:
     XXH3_freeState(hash);

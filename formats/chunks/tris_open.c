@@ -36,18 +36,45 @@ int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what)
     return bsq_fail(file->ctx, BSQ_EDATA, "%s: damaged chunk file: %s", file->file.path, what);
 }
 
-static int check_header(const struct fmt_tris_file *file, const struct tris_file_header *h)
+static int check_version(const struct fmt_tris_file *file, uint32_t version)
 {
-    if (h->version == __builtin_bswap32(FMT_TRIS_VERSION))
+    if (version == FMT_TRIS_VERSION)
+        return 0;
+    if (version == __builtin_bswap32(FMT_TRIS_VERSION))
         return bsq_fail(
             file->ctx, BSQ_EDATA,
             "%s: chunk file with its bytes in big-endian order: Bisque reads little-endian ones",
             file->file.path);
-    if (h->version < FMT_TRIS_VERSION || h->version > FMT_TRIS_VERSION_SAMPLES)
+    if (version > 0 && version < FMT_TRIS_VERSION)
         return bsq_fail(file->ctx, BSQ_EDATA,
-                        "%s: chunk file of version %" PRIu32
-                        ", this program reads versions %u to %u",
-                        file->file.path, h->version, FMT_TRIS_VERSION, FMT_TRIS_VERSION_SAMPLES);
+                        "%s: version %" PRIu32 " of chunk files is no longer read: sort the scan "
+                        "again with bisque-voxelize",
+                        file->file.path, version);
+    return bsq_fail(file->ctx, BSQ_EDATA,
+                    "%s: chunk file of version %" PRIu32 ", this program reads version %u",
+                    file->file.path, version, FMT_TRIS_VERSION);
+}
+
+/* Checks that the parts follow each other and have space for what the header counts. */
+static int check_parts(const struct fmt_tris_file *file, const struct tris_file_header *h)
+{
+    if (h->chunks_offset < sizeof *h || h->materials_offset < h->chunks_offset ||
+        h->table_offset < h->materials_offset || h->file_bytes < h->table_offset ||
+        (h->chunks_offset | h->materials_offset | h->table_offset) % 8 != 0)
+        return fmt_tris_damaged(file, "parts of the file overlap");
+    const uint64_t table_bytes = h->file_bytes - h->table_offset;
+    if (table_bytes % sizeof(struct fmt_tris_chunk_info) != 0 ||
+        table_bytes / sizeof(struct fmt_tris_chunk_info) != h->chunk_count)
+        return fmt_tris_damaged(file, "the chunk table has another length");
+    const uint64_t bytes = h->table_offset - h->materials_offset;
+    if (h->channel_count > bytes / sizeof(uint32_t) ||
+        h->material_count > bytes / tris_material_bytes(h->channel_count))
+        return fmt_tris_damaged(file, "too many materials or channels");
+    return 0;
+}
+
+static int check_header(const struct fmt_tris_file *file, const struct tris_file_header *h)
+{
     if (XXH3_64bits(h, offsetof(struct tris_file_header, header_checksum)) != h->header_checksum)
         return fmt_tris_damaged(file, "the header's checksum does not match");
     if (h->file_bytes != file->file.size)
@@ -57,33 +84,27 @@ static int check_header(const struct fmt_tris_file *file, const struct tris_file
                         file->file.path, file->file.size, h->file_bytes);
     if ((h->attributes & ~TRIS_ATTRIBUTES) != 0 || h->reserved != 0)
         return fmt_tris_damaged(file, "unknown attributes");
-    if (h->materials_offset < sizeof *h || h->table_offset < h->materials_offset ||
-        h->file_bytes < h->table_offset || h->materials_offset % 8 != 0 || h->table_offset % 8 != 0)
-        return fmt_tris_damaged(file, "parts of the file overlap");
-    uint64_t table_bytes = h->file_bytes - h->table_offset;
-    if (table_bytes % sizeof(struct fmt_tris_chunk_info) != 0 ||
-        table_bytes / sizeof(struct fmt_tris_chunk_info) != h->chunk_count)
-        return fmt_tris_damaged(file, "the chunk table has another length");
-    if ((h->table_offset - h->materials_offset) / sizeof(struct tris_material_entry) <
-        h->material_count)
-        return fmt_tris_damaged(file, "too many materials");
-    for (int axis = 0; axis < 3; axis++)
-        if (!isfinite(h->origin[axis]))
-            return fmt_tris_damaged(file, "the origin is not finite");
-    return 0;
+    if (h->ids > BSQ_IDS_COLOR)
+        return fmt_tris_damaged(file, "unknown ids");
+    return check_parts(file, h);
 }
 
-static void copy_header(struct fmt_tris_header *to, const struct tris_file_header *h)
+static void copy_header(struct fmt_tris_file *file, const struct tris_file_header *h)
 {
+    struct fmt_tris_header *to = &file->header;
     to->attributes = h->attributes;
     to->triangle_count = h->triangle_count;
     to->chunk_count = h->chunk_count;
     to->source_faces = h->source_faces;
     to->skipped_triangles = h->skipped_triangles;
     to->material_count = h->material_count;
+    to->ids = (enum bsq_ids)h->ids;
     memcpy(to->origin, h->origin, sizeof to->origin);
     memcpy(to->bounds_min, h->bounds_min, sizeof to->bounds_min);
     memcpy(to->bounds_max, h->bounds_max, sizeof to->bounds_max);
+    file->chunks_offset = h->chunks_offset;
+    file->images_checksum = h->images_checksum;
+    file->checksum = h->header_checksum;
 }
 
 static int read_tail(struct fmt_tris_file *file, const struct tris_file_header *h)
@@ -155,10 +176,9 @@ static int name_image(struct fmt_tris_file *file, const char *range, char **out)
     BSQ_TRY(bsq_alloc(file->ctx, "images", size, 1, &name));
     snprintf(name, size, "%s%s", file->file.path, range);
     file->images[file->image_count++] = *out = name;
-    file->header.has_images = true;
     if (bsq_extent_parse(name, &extent) == 0 || extent.base64 ||
-        extent.offset < sizeof(struct tris_file_header) || extent.size > file->file.size ||
-        extent.offset > file->file.size - extent.size)
+        extent.offset < sizeof(struct tris_file_header) || extent.size > file->chunks_offset ||
+        extent.offset > file->chunks_offset - extent.size)
         return fmt_tris_damaged(file, "an image is not in the file");
 done:
     return status;
@@ -181,162 +201,109 @@ static int parse_path(struct fmt_tris_file *file, struct cursor *cursor, uint32_
     return *out ? note_texture(file, *out) : BSQ_ENOMEM;
 }
 
-/* Takes how an image wraps, and whether it is sRGB, out of the bits that version 4 has it in.
- * Returns false if there are unknown bits. */
-static bool take_wrap(uint32_t version, uint32_t *bits, struct bsq_uv *out)
+/* Takes how an image wraps, and whether it is sRGB, out of the bits of a source. Returns false if
+ * there are unknown bits. */
+static bool take_wrap(uint32_t *bits, struct bsq_uv *out)
 {
     const uint32_t wraps = *bits >> TRIS_WRAP_SHIFT;
     *bits &= (1u << TRIS_WRAP_SHIFT) - 1;
     out->wrap[0] = wraps & 3;
     out->wrap[1] = wraps >> 2 & 3;
     out->srgb = wraps >> 4 & 1;
-    return wraps < (version < FMT_TRIS_VERSION_FACTORS ? 1 : 32) && out->wrap[0] < BSQ_WRAPS &&
-           out->wrap[1] < BSQ_WRAPS;
+    return wraps < 32 && out->wrap[0] < BSQ_WRAPS && out->wrap[1] < BSQ_WRAPS;
 }
 
-/* Reads what version 2 has after a material's path. */
-static int parse_name(const struct fmt_tris_file *file, uint32_t version, struct cursor *cursor,
-                      struct fmt_tris_material *m)
+static bool all_finite(const float *values, int count)
 {
-    struct tris_name_entry entry;
-    if (!take(cursor, &entry, sizeof entry) || !take_text(cursor, entry.name_bytes, &m->name))
-        return fmt_tris_damaged(file, "a material's name is cut off");
-    m->colorless = entry.flags & TRIS_COLORLESS;
-    m->tinted = entry.flags & TRIS_TINTED;
-    if (!take_wrap(version, &entry.flags, &m->uv) ||
-        entry.flags >
-            (version < FMT_TRIS_VERSION_FACTORS ? TRIS_COLORLESS : TRIS_COLORLESS | TRIS_TINTED))
-        return fmt_tris_damaged(file, "a material has unknown flags");
-    return 0;
+    float poison = 0.0f;
+    for (int i = 0; i < count; i++)
+        poison += values[i] * 0.0f;
+    return poison == 0.0f;
 }
 
-static bool take_uv(const struct tris_uv_entry *entry, struct bsq_uv *out)
-{
-    const float *scale = entry->scale, *offset = entry->offset;
-    out->moves = scale[0] != 1 || scale[1] != 1 || offset[0] != 0 || offset[1] != 0;
-    memcpy(out->scale, scale, sizeof out->scale);
-    memcpy(out->offset, offset, sizeof out->offset);
-    return isfinite(scale[0]) && isfinite(scale[1]) && isfinite(offset[0]) && isfinite(offset[1]);
-}
-
-static int parse_source(struct fmt_tris_file *file, uint32_t version, struct cursor *cursor,
+/* Reads what a material and a channel of one have first: sets all of *out. Its component are flags
+ * of a material, or the component of a channel, at most `most`. */
+static int parse_source(struct fmt_tris_file *file, struct cursor *cursor, uint32_t most,
                         struct fmt_tris_source *out)
 {
     struct tris_source_entry entry;
     if (!take(cursor, &entry, sizeof entry))
-        return fmt_tris_damaged(file, "the channels of a material are cut off");
+        return fmt_tris_damaged(file, "the materials are cut off");
+    const float *scale = entry.scale, *offset = entry.offset;
+    const bool known = take_wrap(&entry.bits, &out->uv);
+    if (!known || entry.bits > most)
+        return fmt_tris_damaged(file, "a material has unknown flags");
+    if (!all_finite(entry.value, 3) || !all_finite(scale, 2) || !all_finite(offset, 2))
+        return fmt_tris_damaged(file, "a value of a material is not finite");
+    out->component = entry.bits;
+    out->uv.moves = scale[0] != 1 || scale[1] != 1 || offset[0] != 0 || offset[1] != 0;
     memcpy(out->value, entry.value, sizeof out->value);
-    const bool good = take_wrap(version, &entry.component, &out->uv);
-    out->component = entry.component;
-    if (!good || !isfinite(out->value[0]) || !isfinite(out->value[1]) || !isfinite(out->value[2]) ||
-        out->component >= BSQ_CHANNEL_COMPONENTS || !take_uv(&entry.uv, &out->uv))
-        return fmt_tris_damaged(file, "a channel of a material has a wrong value");
-    if (version < FMT_TRIS_VERSION_FACTORS && entry.path_bytes != TRIS_NO_PATH &&
-        out->component != BSQ_CHANNEL_CUTOUT)
-        out->value[0] = out->value[1] = out->value[2] = 1;
+    memcpy(out->uv.scale, scale, sizeof out->uv.scale);
+    memcpy(out->uv.offset, offset, sizeof out->uv.offset);
     return parse_path(file, cursor, entry.path_bytes, &out->texture_path);
 }
 
-/* Reads what version 3 has after a material's name. */
-static int parse_sources(struct fmt_tris_file *file, uint32_t version, struct cursor *cursor,
-                         struct fmt_tris_material *m)
+/* Reads a name, which has its length before it. Returns false if it is cut off. */
+static bool take_name(struct cursor *cursor, char **out)
 {
-    const uint32_t count = file->header.channel_count;
-    struct tris_uv_entry uv;
-    if (!take(cursor, &uv, sizeof uv) || !take_uv(&uv, &m->uv))
-        return fmt_tris_damaged(file, "a material's texture coordinates are not finite");
-    m->sources = count > 0 ? file->sources + (m - file->header.materials) * (ptrdiff_t)count : NULL;
-    int status = 0;
-    for (uint32_t c = 0; c < count && status == 0; c++)
-        status = parse_source(file, version, cursor, &m->sources[c]);
-    return status;
+    uint32_t length;
+    return take(cursor, &length, sizeof length) && take_text(cursor, length, out);
 }
 
-static int parse_material(struct fmt_tris_file *file, uint32_t version, struct cursor *cursor,
+static int parse_material(struct fmt_tris_file *file, struct cursor *cursor,
                           struct fmt_tris_material *m)
 {
-    struct tris_material_entry entry;
+    const uint32_t count = file->header.channel_count;
+    struct fmt_tris_source own = {0};
     int status;
-    if (!take(cursor, &entry, sizeof entry))
-        return fmt_tris_damaged(file, "the materials are cut off");
-    memcpy(m->diffuse, entry.diffuse, sizeof m->diffuse);
-    if (!isfinite(m->diffuse[0]) || !isfinite(m->diffuse[1]) || !isfinite(m->diffuse[2]))
-        return fmt_tris_damaged(file, "a material's colour is not finite");
-    BSQ_TRY(parse_path(file, cursor, entry.path_bytes, &m->texture_path));
-    if (version >= FMT_TRIS_VERSION_IDS)
-        BSQ_TRY(parse_name(file, version, cursor, m));
-    if (version >= FMT_TRIS_VERSION_CHANNELS)
-        status = parse_sources(file, version, cursor, m);
+    BSQ_TRY(parse_source(file, cursor, TRIS_COLORLESS | TRIS_TINTED, &own));
+    memcpy(m->diffuse, own.value, sizeof m->diffuse);
+    m->colorless = own.component & TRIS_COLORLESS;
+    m->tinted = own.component & TRIS_TINTED;
+    m->uv = own.uv;
+    m->texture_path = own.texture_path;
+    if (!take_name(cursor, &m->name))
+        return fmt_tris_damaged(file, "a material's name is cut off");
+    m->sources = count > 0 ? file->sources + (m - file->header.materials) * (ptrdiff_t)count : NULL;
+    for (uint32_t c = 0; c < count && status == 0; c++)
+        status = parse_source(file, cursor, BSQ_CHANNEL_COMPONENTS - 1, &m->sources[c]);
 done:
     return status;
 }
 
-static int parse_ids(struct fmt_tris_file *file, uint32_t version, struct cursor *cursor)
-{
-    struct tris_ids_entry entry;
-    if (!take(cursor, &entry, sizeof entry) || entry.reserved != 0 ||
-        (entry.ids == BSQ_IDS_NONE && version == FMT_TRIS_VERSION_IDS) || entry.ids > BSQ_IDS_COLOR)
-        return fmt_tris_damaged(file, "unknown ids");
-    file->header.ids = (enum bsq_ids)entry.ids;
-    return 0;
-}
-
-/* Reads the name of a channel, which no channel before it has. */
-static int parse_channel(struct fmt_tris_file *file, struct cursor *cursor)
+/* Reads the names of channels, no two of which are equal. */
+static int parse_channels(struct fmt_tris_file *file, uint32_t count, struct cursor *cursor)
 {
     struct fmt_tris_header *header = &file->header;
-    uint32_t length;
-    char *name;
-    if (!take(cursor, &length, sizeof length) || !take_text(cursor, length, &name) ||
-        !bsq_is_channel_name(name) || fmt_tris_find_channel(header, name) != UINT32_MAX)
-        return fmt_tris_damaged(file, "the name of a channel is none");
-    header->channels[header->channel_count++] = name;
-    return 0;
-}
-
-/* Reads the names of channels, and allocates the sources of all materials, for each of which the
- * file must have an entry. */
-static int parse_channels(struct fmt_tris_file *file, const struct tris_file_header *h,
-                          struct cursor *cursor)
-{
-    struct tris_channels_entry entry;
-    uint64_t sources, bytes;
-    if (!take(cursor, &entry, sizeof entry) || entry.reserved != 0 ||
-        entry.channel_count > (cursor->bytes - cursor->at) / sizeof(uint32_t) ||
-        __builtin_mul_overflow((uint64_t)entry.channel_count, h->material_count, &sources) ||
-        __builtin_mul_overflow(sources, sizeof(struct tris_source_entry), &bytes) ||
-        bytes > cursor->bytes - cursor->at)
-        return fmt_tris_damaged(file, "the channels are cut off");
-    int status;
-    BSQ_TRY(bsq_calloc(file->ctx, "channels", sources + 1, sizeof *file->sources, &file->sources));
-    BSQ_TRY(bsq_calloc(file->ctx, "channels", (uint64_t)entry.channel_count + 1,
-                       sizeof *file->header.channels, &file->header.channels));
-    for (uint32_t c = 0; c < entry.channel_count; c++)
-        BSQ_TRY(parse_channel(file, cursor));
-done:
+    int status = bsq_calloc(file->ctx, "channels", count + UINT64_C(1), sizeof *header->channels,
+                            &header->channels);
+    for (char *name; header->channel_count < count && status == 0;) {
+        if (!take_name(cursor, &name) || !bsq_is_channel_name(name) ||
+            fmt_tris_find_channel(header, name) != UINT32_MAX)
+            return fmt_tris_damaged(file, "the name of a channel is none");
+        header->channels[header->channel_count++] = name;
+    }
     return status;
 }
 
 static int parse_materials(struct fmt_tris_file *file, const struct tris_file_header *h)
 {
-    const uint64_t bytes = h->table_offset - h->materials_offset;
+    const uint64_t bytes = h->table_offset - h->materials_offset, count = h->material_count;
     struct cursor cursor = {.from = file->tail, .bytes = bytes};
     int status;
-    BSQ_TRY(bsq_calloc(file->ctx, "materials", (uint64_t)h->material_count + 1,
-                       sizeof *file->header.materials, &file->header.materials));
-    /* Each path and name loses the entry before it and gains a terminator, so all fit `bytes`. */
+    /* The header's check has shown that nothing here has many times the bytes of the part. */
+    BSQ_TRY(bsq_calloc(file->ctx, "materials", count + 1, sizeof *file->header.materials,
+                       &file->header.materials));
+    BSQ_TRY(bsq_calloc(file->ctx, "channels", count * h->channel_count + 1, sizeof *file->sources,
+                       &file->sources));
+    /* Each path and name loses the length before it and gains a terminator, so all fit `bytes`. */
     BSQ_TRY(bsq_alloc(file->ctx, "materials", bytes + 1, 1, &file->paths));
     cursor.text = file->paths;
-    if (h->version >= FMT_TRIS_VERSION_IDS)
-        BSQ_TRY(parse_ids(file, h->version, &cursor));
-    if (h->version >= FMT_TRIS_VERSION_CHANNELS)
-        BSQ_TRY(parse_channels(file, h, &cursor));
-    for (uint32_t i = 0; i < h->material_count; i++) {
+    BSQ_TRY(parse_channels(file, h->channel_count, &cursor));
+    for (uint32_t i = 0; i < count; i++) {
         BSQ_TRY(i % 1024 == 0 ? bsq_check(file->ctx) : 0);
-        BSQ_TRY(parse_material(file, h->version, &cursor, &file->header.materials[i]));
+        BSQ_TRY(parse_material(file, &cursor, &file->header.materials[i]));
     }
-    if (fmt_tris_version(&file->header) != h->version)
-        return fmt_tris_damaged(file, "the version is higher than the content needs");
     if (bsq_align_up(cursor.at, 8) != bytes)
         return fmt_tris_damaged(file, "the materials have another length");
     while (cursor.at < bytes)
@@ -359,6 +326,7 @@ static bool chunk_info_valid(uint32_t attributes, const struct fmt_tris_chunk_in
     uint32_t nt = info->triangle_count, nv = info->vertex_count;
     return nt > 0 && nt <= FMT_TRIS_CHUNK_TRIANGLES && nv > 0 && nv <= 3 * nt &&
            info->size_bytes == tris_chunk_layout(attributes, nt, nv).bytes &&
+           (attributes & FMT_TRIS_SAMPLES || info->sample_checksum == 0) &&
            bounds_valid(info->bounds_min, info->bounds_max);
 }
 
@@ -370,11 +338,7 @@ static int parse_table(struct fmt_tris_file *file, const struct tris_file_header
         return status;
     memcpy(file->chunks, file->tail + (h->table_offset - h->materials_offset),
            h->chunk_count * sizeof *file->chunks);
-    uint64_t offset = sizeof *h, triangles = 0;
-    if (file->header.has_images && h->chunk_count > 0)
-        offset = file->images_end = file->chunks[0].offset;
-    if (offset % 8 != 0 || offset < sizeof *h || offset > h->materials_offset)
-        return fmt_tris_damaged(file, "the images overlap other parts");
+    uint64_t offset = h->chunks_offset, triangles = 0;
     for (uint64_t i = 0; i < h->chunk_count; i++) {
         const struct fmt_tris_chunk_info *info = &file->chunks[i];
         if (info->offset != offset || info->first_triangle != triangles ||
@@ -396,6 +360,9 @@ static int parse_table(struct fmt_tris_file *file, const struct tris_file_header
 static int check_bounds(const struct fmt_tris_file *file)
 {
     const struct fmt_tris_header *h = &file->header;
+    for (int axis = 0; axis < 3; axis++)
+        if (!isfinite(h->origin[axis]))
+            return fmt_tris_damaged(file, "the origin is not finite");
     if (!bounds_valid(h->bounds_min, h->bounds_max))
         return fmt_tris_damaged(file, "the bounds are not valid");
     for (uint64_t i = 0; i < h->chunk_count; i++)
@@ -408,17 +375,18 @@ static int check_bounds(const struct fmt_tris_file *file)
 
 static int open_parts(struct fmt_tris_file *file)
 {
-    struct tris_file_header h;
+    struct tris_file_header h = {0};
     uint64_t got;
     int status;
     BSQ_TRY(bsq_file_read_some(file->ctx, &file->file, &h, sizeof h, 0, &got));
     if (memcmp(h.magic, TRIS_MAGIC, got < sizeof h.magic ? got : sizeof h.magic) != 0)
         return bsq_fail(file->ctx, BSQ_EDATA, "%s: not a chunk file", file->file.path);
+    if (got >= offsetof(struct tris_file_header, attributes))
+        BSQ_TRY(check_version(file, h.version));
     if (got < sizeof h)
         return fmt_tris_damaged(file, "the header is cut off");
     BSQ_TRY(check_header(file, &h));
-    copy_header(&file->header, &h);
-    file->checksum = h.header_checksum;
+    copy_header(file, &h);
     BSQ_TRY(read_tail(file, &h));
     BSQ_TRY(parse_materials(file, &h));
     BSQ_TRY(parse_table(file, &h));
@@ -485,6 +453,11 @@ void fmt_tris_close(struct fmt_tris_file *file)
 const struct fmt_tris_header *fmt_tris_get_header(const struct fmt_tris_file *file)
 {
     return &file->header;
+}
+
+uint64_t fmt_tris_checksum(const struct fmt_tris_file *file)
+{
+    return file->checksum;
 }
 
 const struct fmt_tris_chunk_info *fmt_tris_chunks(const struct fmt_tris_file *file)

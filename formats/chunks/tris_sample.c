@@ -178,12 +178,10 @@ void fmt_tris_make_sample(const struct fmt_tris_chunk *chunk,
                           const struct fmt_tris_chunk_info *info, uint8_t *out)
 {
     const uint32_t count = chunk->triangle_count;
-    const uint64_t bytes = tris_sample_bytes(count) - sizeof(uint64_t);
-    uint8_t *to = out + sizeof(uint64_t);
-    memset(to, 0, bytes);
+    memset(out, 0, tris_sample_bytes(count));
     float far = count < RUN ? INFINITY : far_distance(chunk);
     uint32_t short_runs = 0;
-    for (uint32_t begin = 0, end; begin < count; begin = end, to += sizeof(struct tris_surfel)) {
+    for (uint32_t begin = 0, end; begin < count; begin = end, out += sizeof(struct tris_surfel)) {
         struct tris_surfel surfel;
         struct run run;
         end = gather(chunk, begin, far, &run);
@@ -198,21 +196,11 @@ void fmt_tris_make_sample(const struct fmt_tris_chunk *chunk,
         }
         if (!set_plane(&run, info, &surfel))
             surfel.normal = TRIS_NOT_A_PLANE | directions(chunk, begin, end);
-        memcpy(to, &surfel, sizeof surfel);
+        memcpy(out, &surfel, sizeof surfel);
     }
-    const uint64_t checksum = XXH3_64bits(out + sizeof checksum, bytes);
-    memcpy(out, &checksum, sizeof checksum);
 }
 
 /* ---- reading ---- */
-
-bool fmt_tris_sample_valid(const void *sample, uint32_t triangles)
-{
-    const uint8_t *records = (const uint8_t *)sample + sizeof(uint64_t);
-    uint64_t checksum;
-    memcpy(&checksum, sample, sizeof checksum);
-    return XXH3_64bits(records, tris_sample_bytes(triangles) - sizeof checksum) == checksum;
-}
 
 /* The surface while it is made of records. */
 struct surface {
@@ -306,11 +294,11 @@ int fmt_tris_load_sample(const struct fmt_tris_file *file, uint64_t index, void 
                                                info->offset + l.values[TRIS_ATTRIBUTE_COUNT - 1]);
     if (status < 0)
         return status;
-    if (!fmt_tris_sample_valid(bytes, count))
+    if (XXH3_64bits(bytes, tris_sample_bytes(count)) != info->sample_checksum)
         return fmt_tris_damaged(file, "the checksum of a sample does not match");
     for (uint32_t i = 0; i < records; i++) {
         struct tris_surfel surfel;
-        memcpy(&surfel, bytes + sizeof(uint64_t) + i * sizeof surfel, sizeof surfel);
+        memcpy(&surfel, bytes + i * sizeof surfel, sizeof surfel);
         if (!is_empty(&surfel))
             add_surfel(&s, &surfel, info);
     }

@@ -28,32 +28,6 @@ static uint32_t wrap_bits(const struct bsq_uv *uv)
     return (uint32_t)(uv->wrap[0] | uv->wrap[1] << 2 | uv->srgb << 4) << TRIS_WRAP_SHIFT;
 }
 
-/* Returns whether the value of a source changes its texture. */
-static bool has_factor(const struct fmt_tris_source *source)
-{
-    const float *value = source->value;
-    return source->texture_path && source->component != BSQ_CHANNEL_CUTOUT &&
-           (value[0] != 1 || value[1] != 1 || value[2] != 1);
-}
-
-uint32_t fmt_tris_version(const struct fmt_tris_header *header)
-{
-    bool moves = false, factors = false;
-    for (uint32_t i = 0; i < header->material_count; i++) {
-        const struct fmt_tris_material *m = &header->materials[i];
-        moves |= m->uv.moves;
-        factors |= m->tinted || wrap_bits(&m->uv) > 0;
-        for (uint32_t c = 0; c < header->channel_count; c++)
-            factors |= has_factor(&m->sources[c]) || wrap_bits(&m->sources[c].uv) > 0;
-    }
-    return header->attributes & FMT_TRIS_SAMPLES ? FMT_TRIS_VERSION_SAMPLES
-           : header->has_images                  ? FMT_TRIS_VERSION_IMAGES
-           : factors                             ? FMT_TRIS_VERSION_FACTORS
-           : header->channel_count > 0 || moves  ? FMT_TRIS_VERSION_CHANNELS
-           : header->ids != BSQ_IDS_NONE         ? FMT_TRIS_VERSION_IDS
-                                                 : FMT_TRIS_VERSION;
-}
-
 uint32_t fmt_tris_find_channel(const struct fmt_tris_header *header, const char *name)
 {
     for (uint32_t c = 0; c < header->channel_count; c++)
@@ -120,25 +94,25 @@ int fmt_tris_encode(struct bsq_ctx *ctx, uint32_t attributes, const struct fmt_t
     memset(info, 0, sizeof *info);
     if ((status = chunk_bounds(ctx, chunk, info)) < 0)
         return status;
-    memcpy(bytes + l.positions, chunk->positions, (size_t)12 * nv);
+    memcpy(bytes, chunk->positions, (size_t)12 * nv);
     struct fmt_tris_chunk in_file = *chunk;
-    in_file.positions = (const float(*)[3])(const void *)(bytes + l.positions);
+    in_file.positions = (const float(*)[3])(const void *)bytes;
     for (int i = 0; i < TRIS_ATTRIBUTE_COUNT; i++) {
         const struct tris_attribute *attribute = &fmt_tris_attributes[i];
         const void *values;
         memcpy(&values, (const char *)chunk + attribute->member, sizeof values);
-        if (attributes & attribute->flag && attribute->bytes > 0)
-            memcpy(bytes + l.values[i], values, tris_values_bytes(attribute, nt, nv));
-        else if (attributes & attribute->flag)
+        const uint64_t size_bytes = tris_values_bytes(attribute, nt, nv);
+        if (attributes & attribute->flag && attribute->bytes > 0) {
+            memcpy(bytes + l.values[i], values, size_bytes);
+        } else if (attributes & attribute->flag) {
             fmt_tris_make_sample(&in_file, info, bytes + l.values[i]);
+            info->sample_checksum = XXH3_64bits(bytes + l.values[i], size_bytes);
+        }
     }
     if ((status = store_indices(ctx, chunk, &l, bytes + l.triangles)) < 0)
         return status;
     memset(bytes + l.end, 0, l.bytes - l.end);
-    struct tris_chunk_header header = {0, nt, nv};
-    memcpy(bytes, &header, sizeof header);
-    header.checksum = XXH3_64bits(bytes + 8, l.bytes - 8);
-    memcpy(bytes, &header, sizeof header);
+    info->checksum = XXH3_64bits(bytes, l.bytes);
     info->size_bytes = *size = l.bytes;
     info->triangle_count = nt;
     info->vertex_count = nv;
@@ -226,23 +200,23 @@ done:
     return status;
 }
 
-/* Copies the images of all materials, and appends the checksum of this part of the file. */
+/* Copies the images of all materials, unless the file has no name to find them by. */
 static int embed_all(struct fmt_tris_writer *writer, const struct fmt_tris_header *header)
 {
     XXH3_state_t *hash = XXH3_createState();
+    const bool any = header->embeds_images && !writer->temporary;
     int status = 0;
     if (!hash || XXH3_64bits_reset(hash) != XXH_OK) {
         XXH3_freeState(hash);
         return bsq_fail(writer->ctx, BSQ_ENOMEM, "no memory for the checksum of images");
     }
-    for (uint32_t m = 0; m < header->material_count; m++) {
+    for (uint32_t m = 0; m < header->material_count && any; m++) {
         BSQ_TRY(embed(writer, header->materials[m].texture_path, hash));
         for (uint32_t c = 0; c < header->channel_count; c++)
             BSQ_TRY(embed(writer, header->materials[m].sources[c].texture_path, hash));
     }
-    const uint64_t checksum = XXH3_64bits_digest(hash);
-    if (writer->image_count > 0)
-        status = bsq_output_write(writer->output, &checksum, sizeof checksum);
+    writer->header.images_checksum = XXH3_64bits_digest(hash);
+    writer->header.chunks_offset = bsq_output_tell(writer->output);
 done:
     XXH3_freeState(hash);
     return status;
@@ -277,62 +251,41 @@ static int put_text(struct fmt_tris_writer *writer, const void *entry, uint64_t 
     return status < 0 ? status : put(writer, text, text_bytes(text));
 }
 
-static uint32_t path_bytes(const char *path)
+/* Appends what a material and a channel of one have first. bits: beside those of `uv`. */
+static int put_source(struct fmt_tris_writer *writer, const float value[3], uint32_t bits,
+                      const struct bsq_uv *uv, const char *texture_path)
 {
-    return path ? (uint32_t)strlen(path) : TRIS_NO_PATH;
-}
-
-/* Returns the path of a texture as the file has it. */
-static const char *stored_path(const struct fmt_tris_writer *writer, const char *path)
-{
-    const char *name = path ? find_image(writer, path) : NULL;
-    return name ? name : path;
-}
-
-static struct tris_uv_entry uv_entry(const struct bsq_uv *uv)
-{
-    static const struct tris_uv_entry same = {{1, 1}, {0, 0}};
-    return uv->moves ? (struct tris_uv_entry){{uv->scale[0], uv->scale[1]},
-                                              {uv->offset[0], uv->offset[1]}}
-                     : same;
-}
-
-/* Appends what version 3 has after a material's name. */
-static int put_channels(struct fmt_tris_writer *writer, const struct fmt_tris_material *m,
-                        uint32_t channel_count)
-{
-    const struct tris_uv_entry uv = uv_entry(&m->uv);
-    int status;
-    BSQ_TRY(put(writer, &uv, sizeof uv));
-    for (uint32_t c = 0; c < channel_count; c++) {
-        const struct fmt_tris_source *source = &m->sources[c];
-        const char *path = stored_path(writer, source->texture_path);
-        const struct tris_source_entry entry = {
-            .value = {source->value[0], source->value[1], source->value[2]},
-            .component = source->component | wrap_bits(&source->uv),
-            .uv = uv_entry(&source->uv),
-            .path_bytes = path_bytes(path)};
-        BSQ_TRY(put_text(writer, &entry, sizeof entry, path));
+    const char *image = texture_path ? find_image(writer, texture_path) : NULL;
+    const char *path = image ? image : texture_path;
+    struct tris_source_entry entry = {.value = {value[0], value[1], value[2]},
+                                      .bits = bits | wrap_bits(uv),
+                                      .scale = {1, 1},
+                                      .path_bytes = path ? (uint32_t)strlen(path) : TRIS_NO_PATH};
+    if (uv->moves) {
+        memcpy(entry.scale, uv->scale, sizeof entry.scale);
+        memcpy(entry.offset, uv->offset, sizeof entry.offset);
     }
-done:
-    return status;
+    return put_text(writer, &entry, sizeof entry, path);
+}
+
+static int put_name(struct fmt_tris_writer *writer, const char *name)
+{
+    const uint32_t length = (uint32_t)text_bytes(name);
+    return put_text(writer, &length, sizeof length, name);
 }
 
 static int put_material(struct fmt_tris_writer *writer, const struct fmt_tris_material *m,
                         uint32_t channel_count)
 {
-    const char *path = stored_path(writer, m->texture_path);
-    const struct tris_material_entry entry = {{m->diffuse[0], m->diffuse[1], m->diffuse[2]},
-                                              path_bytes(path)};
     const uint32_t flags = (m->colorless ? TRIS_COLORLESS : 0u) | (m->tinted ? TRIS_TINTED : 0u);
-    const struct tris_name_entry name = {flags | wrap_bits(&m->uv), (uint32_t)text_bytes(m->name)};
-    const uint32_t version = writer->header.version;
     int status;
-    BSQ_TRY(put_text(writer, &entry, sizeof entry, path));
-    if (version >= FMT_TRIS_VERSION_IDS)
-        BSQ_TRY(put_text(writer, &name, sizeof name, m->name));
-    if (version >= FMT_TRIS_VERSION_CHANNELS)
-        status = put_channels(writer, m, channel_count);
+    BSQ_TRY(put_source(writer, m->diffuse, flags, &m->uv, m->texture_path));
+    status = put_name(writer, m->name);
+    for (uint32_t c = 0; c < channel_count && status == 0; c++) {
+        const struct fmt_tris_source *source = &m->sources[c];
+        status =
+            put_source(writer, source->value, source->component, &source->uv, source->texture_path);
+    }
 done:
     return status;
 }
@@ -340,17 +293,9 @@ done:
 static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tris_header *header)
 {
     static const char zeros[8];
-    const struct tris_ids_entry ids = {.ids = header->ids};
-    const struct tris_channels_entry channels = {.channel_count = header->channel_count};
     int status = 0;
-    if (writer->header.version >= FMT_TRIS_VERSION_IDS)
-        BSQ_TRY(put(writer, &ids, sizeof ids));
-    if (writer->header.version >= FMT_TRIS_VERSION_CHANNELS)
-        BSQ_TRY(put(writer, &channels, sizeof channels));
-    for (uint32_t c = 0; c < header->channel_count; c++) {
-        const uint32_t length = (uint32_t)strlen(header->channels[c]);
-        BSQ_TRY(put_text(writer, &length, sizeof length, header->channels[c]));
-    }
+    for (uint32_t c = 0; c < header->channel_count; c++)
+        BSQ_TRY(put_name(writer, header->channels[c]));
     for (uint32_t i = 0; i < header->material_count; i++)
         BSQ_TRY(put_material(writer, &header->materials[i], header->channel_count));
     status = put(writer, zeros, bsq_align_up(writer->materials_bytes, 8) - writer->materials_bytes);
@@ -373,18 +318,17 @@ static int create(struct bsq_ctx *ctx, const char *path, const char *beside,
     writer->temporary = !path;
     struct tris_file_header *h = &writer->header;
     memcpy(h->magic, TRIS_MAGIC, sizeof h->magic);
+    h->version = FMT_TRIS_VERSION;
     h->attributes = header->attributes;
     h->source_faces = header->source_faces;
     h->material_count = header->material_count;
+    h->channel_count = header->channel_count;
+    h->ids = header->ids;
     memcpy(h->origin, header->origin, sizeof h->origin);
     BSQ_TRY(path ? bsq_output_open(ctx, path, &writer->output)
                  : bsq_output_open_temp(ctx, beside, "chunks", &writer->output));
     BSQ_TRY(bsq_output_write(writer->output, &zeros, sizeof zeros));
-    if (header->has_images && path) /* a temporary file has no name to find images by */
-        BSQ_TRY(embed_all(writer, header));
-    struct fmt_tris_header content = *header;
-    content.has_images = writer->image_count > 0;
-    h->version = fmt_tris_version(&content);
+    BSQ_TRY(embed_all(writer, header));
     BSQ_TRY(encode_materials(writer, header));
     *out = writer;
     return 0;

@@ -697,4 +697,46 @@ for map in color.*.exr; do
     same "$map" "farm/$map"
 done
 no_temporary_files
+
+# ---- another scan of the same size ----
+
+# grid_scan PLACE: prints a square of 1700 x 1700 vertices, whose red is inverted in 100 x 100 of them,
+# if PLACE is not empty.
+grid_scan()
+{
+    awk -v place="$1" 'BEGIN { n = 1700
+        printf "ply\nformat ascii 1.0\nelement vertex %d\n", n * n
+        print "property float x\nproperty float y\nproperty float z"
+        print "property uchar red\nproperty uchar green\nproperty uchar blue"
+        printf "element face %d\nproperty list uchar int vertex_indices\nend_header\n", (n - 1) ^ 2
+        for (y = 0; y < n; y++) for (x = 0; x < n; x++) {
+            red = place && x < 100 && y >= n - 100 ? 255 - x % 256 : x % 256
+            print x, y, x * y % 7 / 7, red, y % 256, 9 }
+        for (y = 1; y < n; y++) for (x = 1; x < n; x++)
+            print 4, n * y + x - n - 1, n * y + x - n, n * y + x, n * y + x - 1 }'
+}
+
+# Neither the first nor the last 4 KiB of their files hold colours that differ.
+if [ -n "${LONG-}" ]; then
+    rm -rf one farm
+    mkdir one other farm
+    grid_scan '' >one/scan.ply
+    grid_scan upper >other/scan.ply
+    printf 'v 0 0 0\nv 1699 0 0\nv 1699 1699 0\nv 0 1699 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3 4/4\n' >flat.obj
+    for folder in one other; do
+        ok run bisque-voxelize $folder/scan.ply -o $folder/scan.nvdb --resolution 2700
+    done
+    for scan in scan.tris scan.nvdb; do
+        holds "$scan is large" [ "$(wc -c <one/$scan)" -gt 67108864 ]
+        holds "both have one size" [ "$(wc -c <one/$scan)" -eq "$(wc -c <other/$scan)" ]
+        cp one/$scan $scan
+        ok $bake $scan flat.obj --maps color --size 300 --front 2 --back 2 -o farm/c.exr --tasks 2 --plan farm/plan.json
+        ok $bake --plan farm/plan.json --task 0
+        cp other/$scan $scan
+        $bake --plan farm/plan.json --task 1
+        refused_like 65 "^$p $scan: the scan is not the file that the plan farm/plan.json was made with: make a new plan$"
+        rm -f farm/* $scan
+    done
+fi
+
 finish

@@ -28,7 +28,7 @@ ok run bisque-voxelize box.tris -o on.nvdb --resolution 24 --grid-type onindex
 
 # ---- valid files, alone and together, by both programs ----
 
-tris_line="box.tris: ok (chunk file of version 1: 12 triangles and 8 vertices in 1 chunk, $(wc -c <box.tris) B)"
+tris_line="box.tris: ok (chunk file of version 7: 12 triangles and 8 vertices in 1 chunk, $(wc -c <box.tris) B)"
 for program in bisque-voxelize bisque-bake; do
     ok run $program --verify box.tris
     [ "$(cat "$out")" = "$tris_line" ] && [ ! -s "$err" ]
@@ -40,7 +40,7 @@ out_like '^on\.nvdb: ok \(surface grid of version 2, NanoVDB 32\.6\.0 onindex: 1
 out_like '^box\.tris: ok '
 ok $verify box.tris box.nvdb --json
 json '.files | map(.ok) == [true, true]'
-json '.files[0] | .kind == "tris" and .version == 1 and .triangles == 12 and .vertices == 8 and .chunks == 1'
+json '.files[0] | .kind == "tris" and .version == 7 and .triangles == 12 and .vertices == 8 and .chunks == 1'
 json '.files[1] | .kind == "nvdb" and .nanovdb_version == [32, 4, 2] and .voxels == 1224 and .voxel_size == 0.125'
 files box.obj box.nvdb box.tris on.nvdb
 
@@ -126,9 +126,17 @@ other()
 }
 reads='Bisque reads 32.4.2 (mask) and 32.6.0 (onindex)'
 cp box.tris x.tris
-put x.tris 8 7
-other x.tris 'chunk file of version 7, this program reads versions 1 to 6'
-put x.tris 8 0 0 0 1
+put x.tris 8 8
+other x.tris 'chunk file of version 8, this program reads version 7'
+for version in 1 2 3 4 5 6; do
+    put x.tris 8 $version
+    other x.tris "version $version of chunk files is no longer read: sort the scan again with bisque-voxelize"
+done
+head -c 152 x.tris >short.tris # the length of an empty file of version 6
+other short.tris 'version 6 of chunk files is no longer read: sort the scan again with bisque-voxelize'
+run bisque-bake x.tris box.obj -o map.exr
+refused 65 'bisque-bake: x.tris: version 6 of chunk files is no longer read: sort the scan again with bisque-voxelize'
+put x.tris 8 0 0 0 7
 other x.tris 'chunk file with its bytes in big-endian order: Bisque reads little-endian ones'
 # A version is major << 21 | minor << 10 | patch.
 cp box.nvdb x.nvdb

@@ -18,18 +18,14 @@ def _tris_checksum(content):
     total, h = xxhash.xxh3_64(), content.header
     _add(total, "IQQQQ3d3f3fI", h.attributes, h.triangle_count, h.chunk_count, h.source_faces,
          h.skipped_triangles, *h.origin, *h.bounds_min, *h.bounds_max, h.material_count)
-    _add(total, "I", content.ids)
-    channels = content.channels or []
-    _add(total, "I", len(channels))
-    for name in channels:
+    _add(total, "II", h.ids, len(content.channels))
+    for name in content.channels:
         total.update(name)
-    for diffuse, path, *more in content.materials:
+    for diffuse, path, flags, name, moved, sources in content.materials:
         _add(total, "3fI", *diffuse, read_tris.NONE if path is None else len(path))
         total.update(path or b"")
-        flags, name = more[:2] or (0, b"")
         _add(total, "II", flags, len(name))
         total.update(name)
-        moved, sources = more[2:] or (read_tris.SAME, [])
         _add(total, "4f", *moved)
         for value, component, uv, texture in sources:
             _add(total, "3fI4f", *value, component, *uv)

@@ -3,7 +3,7 @@ import struct
 
 import numpy
 
-from read_tris import COLORS, MATERIALS, NONE, NORMALS, SAMPLES, TEXCOORDS
+from read_tris import COLORS, HEADER_BYTES, MATERIALS, NONE, NORMALS, SAMPLES, TEXCOORDS
 from refusal import checksum
 
 COORDINATES = [0.0, -0.0, 1.0, -1.5, 1e-45, -1e-38, 3.4028235e38, -3.4028235e38, 500000.125]
@@ -24,30 +24,29 @@ def _normals(random, count):
     return halves.view("<u4").ravel()
 
 
-def _names(random, materials):
-    """Gives materials flags and names."""
-    names = [b"", b"stone", b"\xc3\xa9\xff glass"]
-    return [(*m, int(random.integers(0, 2)), names[random.integers(0, 3)]) for m in materials]
-
-
 def _moved(random):
     same = random.random() < 0.5
     return (1, 1, 0, 0) if same else tuple(random.choice([1, -2.5, 0.125, 0], 4))
 
 
-def _wraps(random, factors):
-    """Wrap modes of u and v, and whether an image is sRGB, for version 4."""
-    bits = [int(random.integers(0, n)) << at for n, at in ((3, 8), (3, 10), (2, 12))]
-    return sum(bits) if factors else 0
+def _wraps(random):
+    """Wrap modes of u and v, and whether an image is sRGB."""
+    if random.random() < 0.5:
+        return 0
+    return sum(int(random.integers(0, n)) << at for n, at in ((3, 8), (3, 10), (2, 12)))
 
 
-def _sources(random, materials, channels, factors):
-    """Gives materials what version 3 adds, or version 4."""
-    paths = [None, b"/r.png"]
-    return [(*m[:2], m[2] | 2 * factors | _wraps(random, factors), m[3], _moved(random),
-             [(random.random(3), int(random.integers(0, 3)) | _wraps(random, factors),
-               _moved(random), paths[random.integers(0, 2)]) for _ in channels])
-            for m in materials]
+def _source(random, count, paths):
+    """A value, flags or a component below `count`, coordinates and a path."""
+    return (random.random(3), int(random.integers(0, count)) | _wraps(random), _moved(random),
+            paths[random.integers(0, len(paths))])
+
+
+def _material(random, channels):
+    diffuse, flags, moved, path = _source(random, 4, [None, b"/a.png", b"/textures/\xc3\xa9 b.jpg"])
+    name = [b"", b"stone", b"\xc3\xa9\xff glass"][random.integers(0, 3)]
+    return (diffuse, path, flags, name, moved,
+            [_source(random, 5, [None, b"/r.png"]) for _ in channels])
 
 
 def _make_chunk(random, attributes, material_count):
@@ -66,8 +65,7 @@ def _make_chunk(random, attributes, material_count):
         numbers = list(range(material_count)) + [NONE]
         chunk["materials"] = random.choice(numbers, nt).astype("<u4")
     if attributes & SAMPLES:
-        sample = random.bytes(16 * ((nt + 63) // 64))
-        chunk["samples"] = numpy.frombuffer(struct.pack("<Q", checksum(sample)) + sample, "u1")
+        chunk["samples"] = numpy.frombuffer(random.bytes(16 * ((nt + 63) // 64)), "u1")
     chunk["triangles"] = corners.reshape(nt, 3).astype("<u4")
     chunk["bounds"] = _bounds(chunk["positions"])
     return chunk
@@ -80,88 +78,66 @@ def _bounds(positions):
 def make(random):
     """Returns a random scan as a dictionary that encode() takes."""
     attributes = int(random.integers(0, 32))
-    materials = [(random.random(3), random.choice([None, b"/a.png", b"/textures/\xc3\xa9 b.jpg"]))
-                 for _ in range(random.integers(0, 4))]
-    ids = int(random.choice([0, 0, 1, 2, 3]))
-    channels, factors = None, False
-    if random.random() < 0.3:
-        factors = bool(materials) and random.random() < 0.5
+    channels = []
+    if random.random() < 0.5:
         channels = list(random.permutation([b"roughness", b"a", b"x_1"])[:random.integers(1, 4)])
-        channels = [bytes(c) for c in channels]
-        materials = _sources(random, _names(random, materials), channels, factors)
-    elif attributes & SAMPLES:
-        channels = []
-        materials = _sources(random, _names(random, materials), channels, False)
-    elif ids:
-        materials = _names(random, materials)
+    materials = [_material(random, channels) for _ in range(random.integers(0, 4))]
     chunks = [_make_chunk(random, attributes, len(materials)) for _ in range(random.integers(0, 5))]
     image = b""
-    if factors and chunks and random.random() < 0.7:
+    if random.random() < 0.3:
         image = random.bytes(random.integers(1, 40))
-        materials[0] = (materials[0][0], b"#bytes=152+%d" % len(image), *materials[0][2:])
-    return {"attributes": attributes, "ids": ids, "channels": channels, "materials": materials,
-            "factors": factors, "image": image,
+        materials = [(m[0], b"#bytes=%d+%d" % (HEADER_BYTES, len(image)), *m[2:]) for m in materials]
+    return {"attributes": attributes, "ids": int(random.integers(0, 4)),
+            "channels": [bytes(c) for c in channels], "materials": materials, "image": image,
             "origin": random.choice([0.0, 5e5, -1e300], 3),
             "counts": random.integers(0, 1 << 62, 2), "chunks": chunks}
 
 
 def _encode_chunk(chunk):
-    nt, nv = len(chunk["triangles"]), len(chunk["positions"])
-    data = struct.pack("<II", nt, nv)
+    data = b""
     for name in ("positions", "normals", "texcoords", "colors", "materials", "samples"):
         if name in chunk:
             data += chunk[name].tobytes()
-    data = _pad(data + chunk["triangles"].astype("<u2" if nv <= 65536 else "<u4").tobytes())
-    return struct.pack("<Q", checksum(data)) + data
+    kind = "<u2" if len(chunk["positions"]) <= 65536 else "<u4"
+    return _pad(data + chunk["triangles"].astype(kind).tobytes())
 
 
-def _path(path):
-    return struct.pack("<I", NONE if path is None else len(path)) + (path or b"")
+def _encode_entry(offset, size, triangles, chunk, part):
+    sample = chunk["samples"].tobytes() if "samples" in chunk else None
+    return struct.pack("<QQQII6fQQ", offset, size, triangles, len(chunk["triangles"]),
+                       len(chunk["positions"]), *chunk["bounds"].ravel(), checksum(part),
+                       0 if sample is None else checksum(sample))
 
 
-def _encode_sources(more, channels):
-    moved, sources = more or ((1, 1, 0, 0), [((0, 0, 0), 0, (1, 1, 0, 0), None)] * len(channels))
-    part = struct.pack("<4f", *moved)
-    for value, component, uv, path in sources:
-        part += struct.pack("<3fI4f", *value, component, *uv) + _path(path)
-    return part
+def _encode_source(value, bits, coordinates, path):
+    return struct.pack("<3fI4fI", *value, bits, *coordinates,
+                       NONE if path is None else len(path)) + (path or b"")
 
 
-def _encode_materials(ids, channels, materials):
-    part = struct.pack("<II", ids, 0) if ids or channels is not None else b""
-    if channels is not None:
-        part += struct.pack("<II", len(channels), 0)
-        part += b"".join(struct.pack("<I", len(name)) + name for name in channels)
-    for diffuse, path, *more in materials:
-        part += struct.pack("<3f", *diffuse) + _path(path)
-        if ids or channels is not None:
-            flags, name = more[:2] or (0, b"")
-            part += struct.pack("<II", flags, len(name)) + name
-        if channels is not None:
-            part += _encode_sources(more[2:], channels)
+def _encode_name(name):
+    return struct.pack("<I", len(name)) + name
+
+
+def _encode_materials(channels, materials):
+    part = b"".join(map(_encode_name, channels))
+    for diffuse, path, flags, name, coordinates, sources in materials:
+        part += _encode_source(diffuse, flags, coordinates, path) + _encode_name(name)
+        part += b"".join(_encode_source(*source) for source in sources)
     return _pad(part)
-
-
-def _version(scan):
-    if scan["attributes"] & SAMPLES:
-        return 6
-    return 5 if scan.get("image") else 4 if scan.get("factors") else 3 if scan["channels"] is not None else 2 if scan["ids"] else 1
 
 
 def encode(scan):
     """Returns the bytes of a scan."""
-    images = _pad(scan.get("image", b""))
-    images += struct.pack("<Q", checksum(images)) if images else b""
-    parts, table, triangles, offset = [], b"", 0, 152 + len(images)
+    images = _pad(scan["image"])
+    first = HEADER_BYTES + len(images)
+    parts, table, triangles, offset = [], b"", 0, first
     for chunk in scan["chunks"]:
         part = _encode_chunk(chunk)
-        nt, nv = len(chunk["triangles"]), len(chunk["positions"])
-        table += struct.pack("<QQQII6f", offset, len(part), triangles, nt, nv,
-                             *chunk["bounds"].ravel())
+        table += _encode_entry(offset, len(part), triangles, chunk, part)
         parts.append(part)
         offset += len(part)
-        triangles += nt
-    materials = _encode_materials(scan["ids"], scan["channels"], scan["materials"])
+        triangles += len(chunk["triangles"])
+    materials = _encode_materials(scan["channels"], scan["materials"])
     bounds = numpy.zeros((2, 3), "<f4")
     if parts:
         boxes = numpy.stack([chunk["bounds"] for chunk in scan["chunks"]])
@@ -169,38 +145,45 @@ def encode(scan):
     bounds = scan.get("bounds", bounds)
     table_offset = offset + len(materials)
     header = b"BSQTRIS\n" + struct.pack(
-        "<IIQQQQ3d6fQQQIIQQ", _version(scan), scan["attributes"], triangles, len(parts),
-        *map(int, scan["counts"]), *scan["origin"], *bounds.ravel(), offset, table_offset,
-        table_offset + len(table), len(scan["materials"]), 0, checksum(materials), checksum(table))
+        "<IIQQQQ3d6fQQQQIIIIQQQ", 7, scan["attributes"], triangles, len(parts),
+        *map(int, scan["counts"]), *scan["origin"], *bounds.ravel(), first, offset, table_offset,
+        table_offset + len(table), len(scan["materials"]), len(scan["channels"]), scan["ids"], 0,
+        checksum(images), checksum(materials), checksum(table))
     return header + struct.pack("<Q", checksum(header)) + images + b"".join(parts) + materials + table
 
 
 # ---- odd properties ----
 
+def _add_material(scan, diffuse, path=None, flags=0, name=b"", moved=(1, 1, 0, 0), sources=None):
+    sources = sources or [((0, 0, 0), 0, (1, 1, 0, 0), None)] * len(scan["channels"])
+    scan["materials"].append((diffuse, path, flags, name, moved, sources))
+
+
 def _odd_path(random, scan):
     path = random.choice([b"", b"a.png", b"/", b"//h/a.png", b"/a\n", b"http://h/a.png",
                           b"/a\0b", b"/" + b"x" * 5000])
-    scan["materials"].append((random.random(3), bytes(path)))
+    _add_material(scan, random.random(3), bytes(path))
 
 
 def _odd_diffuse(random, scan):
     value = random.choice([-1.0, 2.0, 1e30, numpy.inf, numpy.nan])
-    scan["materials"].append(([0.5, value, 0.5], None))
+    _add_material(scan, [0.5, value, 0.5])
 
 
 def _odd_name(random, scan):
-    flags, name = int(random.choice([0, 1, 2])), random.choice([b"", b"a", b"a\0b", b"x" * 5000])
+    flags, name = int(random.choice([0, 3, 4, 1 << 13])), random.choice([b"", b"a", b"a\0b", b"x" * 5000])
     scan["ids"] = int(random.choice([0, 1, 3, 4]))
-    scan["materials"].append(([0.5, 0.5, 0.5], None, flags, bytes(name)))
+    _add_material(scan, [0.5, 0.5, 0.5], None, flags, bytes(name))
 
 
 def _odd_channel(random, scan):
     name = random.choice([b"", b"a", b"A", b"1", b"a\0", b"x" * 5000])
     scan["channels"] = [b"a"] * int(random.integers(0, 2)) + [bytes(name)]
     odd = random.choice([numpy.nan, numpy.inf, 1.0])
-    sources = [((odd, 0, 0), int(random.choice([0, 2, 3])), (1, odd, 0, 0), None)
+    sources = [((odd, 0, 0), int(random.choice([0, 2, 5])), (1, odd, 0, 0), None)
                for _ in scan["channels"]]
-    scan["materials"] = [([0.5, 0.5, 0.5], None, 0, b"", (1, 1, 0, odd), sources)]
+    scan["materials"] = []
+    _add_material(scan, [0.5, 0.5, 0.5], moved=(1, 1, 0, odd), sources=sources)
     for chunk in scan["chunks"]:
         if "materials" in chunk:
             chunk["materials"][:] = 0
@@ -271,20 +254,31 @@ def make_odd(random, scan):
 
 def mend(data):
     """Corrects length and checksums of a damaged file, a bytearray, as far as its parts exist."""
-    if len(data) < 152:
+    if len(data) < HEADER_BYTES:
         return
-    struct.pack_into("<Q", data, 112, len(data))
-    materials, table = struct.unpack_from("<QQ", data, 96)
-    if materials <= table <= len(data):
-        first, = struct.unpack_from("<Q", data, table) if len(data) - table >= 8 else (152,)
-        if data[8] == 5 and 160 <= first <= materials:
-            struct.pack_into("<Q", data, first - 8, checksum(data[152:first - 8]))
-        for at in range(table, len(data) - 55, 56):
-            _mend_chunk(data, materials, *struct.unpack_from("<QQ", data, at))
-        struct.pack_into("<QQ", data, 128, checksum(data[materials:table]), checksum(data[table:]))
-    struct.pack_into("<Q", data, 144, checksum(data[:144]))
+    first, materials, table = struct.unpack_from("<QQQ", data, 96)
+    struct.pack_into("<Q", data, 120, len(data))
+    for at in range(table, len(data) - 71, 72):
+        _mend_entry(data, at)
+    for at, begin, end in ((144, HEADER_BYTES, first), (152, materials, table),
+                           (160, table, len(data))):
+        if begin <= end <= len(data):
+            struct.pack_into("<Q", data, at, checksum(data[begin:end]))
+    struct.pack_into("<Q", data, 168, checksum(data[:168]))
 
 
-def _mend_chunk(data, end, offset, size):
-    if 8 <= size <= end and offset <= end - size:
-        struct.pack_into("<Q", data, offset, checksum(data[offset + 8:offset + size]))
+def _mend_entry(data, at):
+    offset, size, _, nt, nv = struct.unpack_from("<QQQII", data, at)
+    attributes, = struct.unpack_from("<I", data, 12)
+    if offset > len(data) or size > len(data) - offset:
+        return
+    chunk = data[offset:offset + size]
+    struct.pack_into("<Q", data, at + 56, checksum(chunk))
+    if attributes & SAMPLES:
+        of_vertices = sum(b for a, b in ((NORMALS, 4), (TEXCOORDS, 8), (COLORS, 4)) if attributes & a)
+        begin = nv * (12 + of_vertices) + (4 * nt if attributes & MATERIALS else 0)
+        end = begin + 16 * ((nt + 63) // 64)
+        if end <= size:
+            struct.pack_into("<Q", data, at + 64, checksum(chunk[begin:end]))
+
+

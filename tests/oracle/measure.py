@@ -82,9 +82,9 @@ def _raw_triangles(chunk):
 
 
 def _print_materials(content):
-    for diffuse, path, *more in content.materials:
+    for diffuse, path, _, _, _, sources in content.materials:
         show("material", *(f"{c:g}" for c in diffuse), (path or b"none").decode())
-        for value, component, _, texture in (more[3:] or [[]])[0]:
+        for value, component, _, texture in sources:
             show("source", *(f"{c:g}" for c in value), "component", component,
                  (texture or b"none").decode())
 

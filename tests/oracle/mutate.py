@@ -5,14 +5,15 @@ import make_nvdb
 import make_tris
 import read_nvdb
 from read_nvdb import BLIND_BYTES, GRID, LEAF_BYTES, LOWER_BYTES, ROOT, TREE, UPPER_BYTES
+from read_tris import ENTRY_BYTES, HEADER_BYTES
 
 BITS = {"B": 8, "H": 16, "I": 32, "Q": 64, "f": 32, "d": 64}
 FLOATS = {"f": [0, 0x80000000, 1, 0x7F7FFFFF, 0x7F800000, 0xFF800000, 0x7FC00000, 0x3F800000],
           "d": [0, 1 << 63, 1, 0x7FEFFFFFFFFFFFFF, 0x7FF << 52, 0xFFF << 52, 0x7FF8 << 48,
                 0x3FF << 52, 0x8000000000000, 0x0010 << 48]}
 
-TRIS_HEADER = "8s IIQQQQ ddd fff fff QQQ II QQQ"
-TRIS_ENTRY = "QQQII fff fff"
+TRIS_HEADER = "8s IIQQQQ ddd fff fff QQQQ IIII QQQQ"
+TRIS_ENTRY = "QQQII fff fff QQ"
 NVDB_FILE_HEADER = "QIHHQQQQII dddddd IIIIII ddd I IIII III HH I 32s"
 NVDB_GRID_DATA = "Q IIIIIIQ 256s " + 22 * "f" + 31 * "d" + " IIQ II QQ"
 NVDB_TREE = "QQQQ III III Q"
@@ -62,17 +63,17 @@ def _change_field(random, data, kind, offset):
 # ---- fields of a .tris file ----
 
 def _pick_tris_field(random, data):
-    materials, table = struct.unpack_from("<QQ", data, 96)
+    materials, table = struct.unpack_from("<QQ", data, 104)
     part = random.integers(0, 4)
-    if part == 0 or not 152 <= materials <= table <= len(data):
+    if part == 0 or not HEADER_BYTES <= materials <= table <= len(data):
         fields = _fields(TRIS_HEADER, 0)
-    elif part == 1 and table + 56 <= len(data):
-        row = int(random.integers(0, (len(data) - table) // 56))
-        fields = _fields(TRIS_ENTRY, table + 56 * row)
+    elif part == 1 and table + ENTRY_BYTES <= len(data):
+        row = int(random.integers(0, (len(data) - table) // ENTRY_BYTES))
+        fields = _fields(TRIS_ENTRY, table + ENTRY_BYTES * row)
     elif part == 2 and table >= materials + 4:
         fields = _fields("I" * min((table - materials) // 4, 100), materials)
     else:
-        low, high = 152, max(materials, 160)
+        low, high = HEADER_BYTES, max(materials, HEADER_BYTES + 8)
         kind = random.choice(["B", "H", "I", "f"])
         size = BITS[kind] // 8
         fields = [(kind, int(random.integers(low, high)) // size * size)]

@@ -45,9 +45,8 @@ static uint32_t wrap_bits(const struct bsq_uv *uv)
 
 static void add_uv(struct reading *r, const struct bsq_uv *uv)
 {
-    static const float same[4] = {1, 1, 0, 0};
-    const float moved[4] = {uv->scale[0], uv->scale[1], uv->offset[0], uv->offset[1]};
-    add(r, uv->moves ? moved : same, sizeof same);
+    add(r, uv->scale, sizeof uv->scale);
+    add(r, uv->offset, sizeof uv->offset);
 }
 
 /* Returns the path of a texture as the file has it: images inside of it have no path there. */

@@ -1,15 +1,17 @@
 /* Tests when an input is read to compare it, and when its identity is enough. */
+#include "formats/chunks/tris.h"
 #include "formats/fingerprint.h"
 #include "tests/unit/test.h"
 
 #include <fcntl.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
 
-static const char name[] = "input.tris";
+static const char name[] = "input.file";
 static time_t later; /* how far the clock is ahead of the file system's */
 
 time_t time(time_t *out)
@@ -87,22 +89,104 @@ TEST(test_changed_file)
     }
 }
 
-/* Each byte of a texture or a mesh counts. Of a large chunk file, the header does. */
+/* Each byte of a texture or a mesh counts. */
 TEST(test_large_file)
 {
     const off_t size = (off_t)65 << 20, middle = size / 2 + 77;
-    for (int is_tris = 0; is_tris < 2; is_tris++) {
-        write_file(is_tris ? "BSQTRIS\n" : "BSQTRIX\n", 0);
-        assert_int_equal(truncate(name, size), 0);
-        const struct fmt_fingerprint print = print_after(10);
-        write_file("x", middle);
-        assert_int_equal(is_same(&print), is_tris);
-        assert_int_equal(truncate(name, middle), 0);
-        assert_int_equal(truncate(name, size), 0);
-        assert_true(is_same(&print));
-        write_file(is_tris ? "y" : "x", 145);
-        assert_false(is_same(&print));
+    write_file("v 0 0 0\n", 0);
+    assert_int_equal(truncate(name, size), 0);
+    const struct fmt_fingerprint print = print_after(10);
+    write_file("x", middle);
+    assert_false(is_same(&print));
+    assert_int_equal(truncate(name, middle), 0);
+    assert_int_equal(truncate(name, size), 0);
+    assert_true(is_same(&print));
+}
+
+/* ---- chunk files ---- */
+
+enum { TRIANGLES = FMT_TRIS_CHUNK_TRIANGLES, CHUNKS = 22, ALTERED = 11 };
+
+/* Encodes a chunk of triangles that stand side by side. `z` is the height of a vertex in the middle
+ * of them, inside of the bounds: below 1. Returns its bytes. */
+static uint8_t *encode_row(struct bsq_ctx *ctx, float z, uint64_t *size,
+                           struct fmt_tris_chunk_info *info)
+{
+    float(*positions)[3] = malloc(sizeof(float[3 * TRIANGLES][3]));
+    uint32_t(*triangles)[3] = malloc(sizeof(uint32_t[TRIANGLES][3]));
+    uint8_t *bytes = malloc(fmt_tris_encoded_bound(0, TRIANGLES, 3 * TRIANGLES));
+    for (uint32_t v = 0; v < 3 * TRIANGLES; v++) {
+        const float at[3] = {(float)(v / 3), (float)(v % 3 == 1), (float)(v % 3 == 2)};
+        memcpy(positions[v], at, sizeof at);
+        triangles[v / 3][v % 3] = v;
     }
+    positions[3 * (TRIANGLES / 2) + 2][2] = z;
+    const struct fmt_tris_chunk chunk = {.triangle_count = TRIANGLES,
+                                         .vertex_count = 3 * TRIANGLES,
+                                         .positions = (const float(*)[3])positions,
+                                         .triangles = (const uint32_t(*)[3])triangles};
+    assert_int_equal(fmt_tris_encode(ctx, 0, &chunk, bytes, size, info), 0);
+    free(positions);
+    free(triangles);
+    return bytes;
+}
+
+/* Writes chunks, one of which has a vertex at height z. The first and the last 4 KiB hold nothing
+ * of it but its checksum, and those of the table and of the header. */
+static void write_chunks(float z)
+{
+    struct bsq_ctx *ctx = test_context(1, 0);
+    const struct fmt_tris_header header = {0};
+    struct fmt_tris_chunk_info infos[2];
+    struct fmt_tris_writer *writer;
+    uint64_t size;
+    uint8_t *row = encode_row(ctx, 1, &size, &infos[0]),
+            *altered = encode_row(ctx, z, &size, &infos[1]);
+    assert_int_equal(fmt_tris_create(ctx, name, &header, &writer), 0);
+    for (int i = 0; i < CHUNKS; i++)
+        assert_int_equal(
+            fmt_tris_append(writer, i == ALTERED ? altered : row, size, &infos[i == ALTERED]), 0);
+    assert_true(CHUNKS * size > (64 << 20));
+    assert_int_equal(fmt_tris_commit(writer, NULL), 0);
+    free(altered);
+    free(row);
+    test_context_end(ctx);
+}
+
+/* Loads the chunk that may be altered. */
+static int load_altered(void)
+{
+    struct bsq_ctx *ctx = test_context(1, 0);
+    struct fmt_tris_file *file;
+    struct fmt_tris_chunk chunk;
+    assert_int_equal(fmt_tris_open(ctx, name, &file), 0);
+    void *scratch = malloc(fmt_tris_load_size(file, ALTERED));
+    const int status = fmt_tris_load(file, ALTERED, scratch, &chunk);
+    free(scratch);
+    fmt_tris_close(file);
+    test_context_end(ctx);
+    return status;
+}
+
+/* A vertex of a large chunk file counts. A damaged chunk does not; whoever loads it finds that. */
+TEST(test_large_chunk_file)
+{
+    write_chunks(1);
+    const struct fmt_fingerprint print = print_after(10);
+    write_chunks(0.5f);
+    assert_false(is_same(&print));
+    write_chunks(1);
+    assert_true(is_same(&print));
+    assert_int_equal(load_altered(), 0);
+    write_file("x", ((off_t)33 << 20) + 1000);
+    assert_true(is_same(&print));
+    assert_int_equal(load_altered(), BSQ_EDATA);
+    write_file("x", 40); /* of the header */
+    struct bsq_ctx *ctx = test_context(1, 0);
+    bool same;
+    assert_int_equal(fmt_is_same(ctx, name, print.bytes, print.hash, print.identity, &same),
+                     BSQ_EDATA);
+    test_context_end(ctx);
 }
 
 RUN_TESTS(NULL, NULL)

@@ -95,27 +95,68 @@ FIXTURE_TEST(every_flipped_bit_is_found)
     free(bytes);
 }
 
-/* Corrects the checksums of changed bytes, as a faulty or hostile writer would. */
-static void sign(uint8_t *bytes, size_t size)
+static void set_sum(uint8_t *bytes, size_t at, size_t begin, size_t end)
 {
-    size_t materials = tris_u64_at(bytes, 96), table = tris_u64_at(bytes, 104);
-    uint64_t sums[3] = {XXH3_64bits(bytes + 160, materials - 160),
-                        XXH3_64bits(bytes + materials, table - materials),
-                        XXH3_64bits(bytes + table, size - table)};
-    memcpy(bytes + 152, &sums[0], 8);
-    memcpy(bytes + 128, &sums[1], 8);
-    memcpy(bytes + 136, &sums[2], 8);
-    uint64_t header = XXH3_64bits(bytes, 144);
-    memcpy(bytes + 144, &header, 8);
+    const uint64_t sum = XXH3_64bits(bytes + begin, end - begin);
+    memcpy(bytes + at, &sum, sizeof sum);
 }
 
-/* Makes the checksums of a file without chunks right. */
-static void sign_materials(uint8_t *bytes, size_t size)
+/* Writes a file of one chunk with a sample, and returns its bytes. turned: its vertices take their
+ * heights from each other. */
+static uint8_t *write_one(struct tris_fixture *f, bool turned, size_t *size)
 {
-    uint64_t sum = XXH3_64bits(bytes + 152, size - 152);
-    memcpy(bytes + 128, &sum, 8);
-    sum = XXH3_64bits(bytes, 144);
-    memcpy(bytes + 144, &sum, 8);
+    enum { VERTICES = 3000 };
+    float(*positions)[3] = f->samples[0]->positions;
+    tris_fill(f->samples[0], 0, 2048, VERTICES, 4);
+    for (uint32_t v = 0; turned && v < VERTICES / 2; v++) {
+        const float z = positions[v][2];
+        positions[v][2] = positions[VERTICES - 1 - v][2];
+        positions[VERTICES - 1 - v][2] = z;
+    }
+    tris_write_samples(f, FMT_TRIS_SAMPLES, 1);
+    return test_read(tris_path, size);
+}
+
+/* A chunk takes the place of another one that has the same counts and bounds, in the same file or
+ * in that of another scan. So does its sample. */
+FIXTURE_TEST(a_chunk_in_the_place_of_another_is_found)
+{
+    struct fmt_tris_chunk sample;
+    struct fmt_tris_file *file;
+    void *scratch;
+    size_t size, size_b;
+    bool found;
+    uint8_t *a = write_one(f, false, &size), *b = write_one(f, true, &size_b);
+    const size_t end = tris_u64_at(a, 104);
+    assert_int_equal(size, size_b);
+    assert_memory_equal(a + end, b + end, tris_u64_at(a, 112) + 56 - end);
+    assert_int_equal(read_all(f), 0);
+    memcpy(b + 176, a + 176, end - 176);
+    test_bytes(tris_path, b, size);
+    assert_int_equal(read_all(f), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(f->ctx), "chunk 0: the checksum does not match"));
+    bsq_forget_files(f->ctx);
+    bsq_clear_error(f->ctx);
+    assert_int_equal(fmt_tris_open(f->ctx, tris_path, &file), 0);
+    assert_int_equal(bsq_alloc(f->ctx, "test", fmt_tris_load_size(file, 0), 1, &scratch), 0);
+    assert_int_equal(fmt_tris_load_sample(file, 0, scratch, &sample, &found), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(f->ctx), "the checksum of a sample does not match"));
+    bsq_free(f->ctx, scratch);
+    fmt_tris_close(file);
+    free(a);
+    free(b);
+}
+
+/* Corrects the checksums of changed bytes, as a faulty or hostile writer would. The first chunk is
+ * taken for the only one. */
+static void sign(uint8_t *bytes, size_t size)
+{
+    const size_t materials = tris_u64_at(bytes, 104), table = tris_u64_at(bytes, 112);
+    if (table < size)
+        set_sum(bytes, table + 56, 176, materials);
+    set_sum(bytes, 152, materials, table);
+    set_sum(bytes, 160, table, size);
+    set_sum(bytes, 168, 0, 168);
 }
 
 /* With wrong sizes in header or table but correct checksums, a reader must not allocate more than a
@@ -128,15 +169,14 @@ FIXTURE_TEST(sizes_are_compared_with_the_file)
     tris_fill(f->samples[1], 15, 9, 4, 5);
     tris_write_samples(f, 15, 2);
     uint8_t *good = test_read(tris_path, &size), *bytes = malloc(size);
-    const size_t table = tris_u64_at(good, 104);
-    for (size_t at = 8; at < size; at = at + 4 == 152 ? table : at + 4)
+    const size_t table = tris_u64_at(good, 112);
+    for (size_t at = 8; at < size; at = at + 4 == 176 ? table : at + 4)
         for (size_t i = 0; i < sizeof values / sizeof *values; i++) {
             memcpy(bytes, good, size);
             memcpy(bytes + at, &values[i], 4);
-            if (at < 96 || at >= 112)
+            if (at < 104 || at >= 120)
                 sign(bytes, size);
-            uint64_t sum = XXH3_64bits(bytes, 144);
-            memcpy(bytes + 144, &sum, 8);
+            set_sum(bytes, 168, 0, 168);
             test_bytes(tris_path, bytes, size);
             read_all(f);
         }
@@ -153,7 +193,7 @@ FIXTURE_TEST(padding_is_zero)
     tris_fill(f->samples[0], 0, 3, 4, 5);
     tris_write_samples(f, 0, 1);
     uint8_t *bytes = test_read(tris_path, &size);
-    const size_t end = tris_u64_at(bytes, 96);
+    const size_t end = tris_u64_at(bytes, 104);
     for (size_t at = end - 6; at < end; at++) {
         assert_int_equal(bytes[at], 0);
         bytes[at] = 64;
@@ -166,7 +206,7 @@ FIXTURE_TEST(padding_is_zero)
     free(bytes);
 }
 
-/* A path of two bytes leaves six bytes of padding after the materials. */
+/* A path of two bytes leaves six bytes of padding after the materials, which have 42. */
 FIXTURE_TEST(padding_of_materials_is_zero)
 {
     struct fmt_tris_material material = {.texture_path = (char *)"/a"};
@@ -180,7 +220,7 @@ FIXTURE_TEST(padding_of_materials_is_zero)
     for (size_t at = size - 6; at < size; at++) {
         assert_int_equal(bytes[at], 0);
         bytes[at] = 1;
-        sign_materials(bytes, size);
+        sign(bytes, size);
         test_bytes(tris_path, bytes, size);
         assert_int_equal(read_all(f), BSQ_EDATA);
         assert_non_null(strstr(bsq_error(f->ctx), "after the materials is not zero"));
@@ -198,14 +238,13 @@ struct damage {
 };
 
 static void expect_damage(struct tris_fixture *f, const uint8_t *bytes, size_t size,
-                          const struct damage *cases, size_t count,
-                          void (*make_right)(uint8_t *bytes, size_t size))
+                          const struct damage *cases, size_t count)
 {
     uint8_t *changed = malloc(size);
     for (size_t i = 0; i < count; i++) {
         memcpy(changed, bytes, size);
         memcpy(changed + cases[i].at, &cases[i].value, 4);
-        make_right(changed, size);
+        sign(changed, size);
         test_bytes(tris_path, changed, size);
         assert_int_equal(read_all(f), BSQ_EDATA);
         if (!strstr(bsq_error(f->ctx), cases[i].message))
@@ -217,73 +256,81 @@ static void expect_damage(struct tris_fixture *f, const uint8_t *bytes, size_t s
 FIXTURE_TEST(damaged_names_of_ids_are_found)
 {
     static const struct damage cases[] = {
-        {152, 0, "unknown ids"},
-        {152, 4, "unknown ids"},
-        {156, 1, "unknown ids"},
-        {182, 2, "unknown flags"},
-        {186, 3, "cut off"},
-        {186, 0xffffffff, "name is cut off"},
-        {190, 0x00646f62, "name is cut off"}, /* a zero byte in it */
-        {120, 2, "another length"},
-        {120, 4, "cut off"},
+        {136, 4, "unknown ids"},
+        {188, 4, "unknown flags"},
+        {188, 3 << 8, "unknown flags"},  /* how it wraps along u */
+        {188, 3 << 10, "unknown flags"}, /* along v */
+        {188, 1 << 13, "unknown flags"},
+        {218, 3, "cut off"},
+        {218, 0xffffffff, "name is cut off"},
+        {222, 0x00646f62, "name is cut off"}, /* a zero byte in it */
+        {128, 2, "another length"},
+        {128, 4, "too many materials"},
     };
     size_t size;
     uint8_t *bytes = tris_write_ids(f, &size);
     assert_int_equal(read_all(f), 0);
-    expect_damage(f, bytes, size, cases, sizeof cases / sizeof *cases, sign_materials);
+    expect_damage(f, bytes, size, cases, sizeof cases / sizeof *cases);
     free(bytes);
 }
 
 FIXTURE_TEST(damaged_channels_are_found)
 {
     static const struct damage cases[] = {
-        {8, 2, "unknown ids"},
-        {152, 4, "unknown ids"},
-        {160, 3, "channel"},
-        {160, 0xffffffff, "channels are cut off"},
-        {164, 1, "channels are cut off"},
-        {168, 0xffffffff, "the name of a channel"},
-        {172, 0x52, "the name of a channel"},
-        {212, 0x7fc00000, "coordinates are not finite"},
-        {228, 0x7f800000, "a channel of a material has a wrong value"},
-        {240, 5, "a channel of a material has a wrong value"},
-        {244, 0x7fc00000, "a channel of a material has a wrong value"},
-        {260, 100, "path is cut off"},
+        {132, 1, "not absolute"}, /* the second name is taken for a material */
+        {132, 3, "too many materials or channels"},
+        {132, 0xffffffff, "too many materials or channels"},
+        {176, 0xffffffff, "the name of a channel"},
+        {180, 0x52, "the name of a channel"},
+        {212, 0x7fc00000, "not finite"},  /* the scale of the first material */
+        {236, 0x7f800000, "not finite"},  /* the value of its first channel */
+        {248, 5, "unknown flags"},        /* its component */
+        {252, 0x7fc00000, "not finite"},  /* its scale */
+        {304, 100000, "path is cut off"}, /* of its second channel */
     };
     size_t size;
     uint8_t *bytes = tris_write_channels(f, &size);
     assert_int_equal(read_all(f), 0);
-    expect_damage(f, bytes, size, cases, sizeof cases / sizeof *cases, sign_materials);
+    expect_damage(f, bytes, size, cases, sizeof cases / sizeof *cases);
     free(bytes);
 }
 
 FIXTURE_TEST(values_out_of_range_are_found)
 {
     static const struct damage cases[] = {
-        {8, 6, "unknown ids"},
-        {8, 7, "version 7"},
+        {8, 1, ": version 1 of chunk files is no longer read: sort the scan again with bisque"},
+        {8, 6, ": version 6 of chunk files is no longer read: sort the scan again with bisque"},
+        {8, 8, "chunk file of version 8, this program reads version 7"},
+        {8, 0, "chunk file of version 0, this program reads version 7"},
+        {8, 0x07000000, "big-endian"},
         {12, 63, "unknown attributes"},
         {24, 0x10000000, "another length"},
         {60, 0x7ff80000, "the origin is not finite"},
         {72, 0x7fc00000, "bounds"},
-        {120, 3, "materials are cut off"},
-        {120, 0xfffffffe, "too many materials"},
-        {160, 6, "counts are not those of the table"},
-        {168, 0x7fc00000, "outside of the bounds"},
-        {168, 0x7f800000, "outside of the bounds"},
-        {168, 0x42c80000, "outside of the bounds"},
-        {280, 0x7f800000, "texture coordinate is not finite"},
-        {364, 2, "material number"},
-        {384, 7, "an index is out of range"},
+        {96, 168, "parts of the file overlap"},
+        {96, 180, "parts of the file overlap"},
+        {96, 184, "entry 0 of the table"},
+        {128, 3, "too many materials"},
+        {128, 0xfffffffe, "too many materials"},
+        {140, 1, "unknown attributes"},
+        {176, 0x7fc00000, "outside of the bounds"},
+        {176, 0x7f800000, "outside of the bounds"},
+        {176, 0x42c80000, "outside of the bounds"},
+        {288, 0x7f800000, "texture coordinate is not finite"},
+        {372, 2, "material number"},
+        {392, 7, "an index is out of range"},
     };
     size_t size;
     tris_fill(f->samples[0], 15, 5, 7, 4);
     tris_write_samples(f, 15, 1);
     uint8_t *bytes = test_read(tris_path, &size);
-    expect_damage(f, bytes, size, cases, sizeof cases / sizeof *cases, sign);
-    /* A table entry that claims more triangles than a chunk may have. */
-    const struct damage entry = {tris_u64_at(bytes, 104) + 24, UINT32_MAX, "entry 0 of the table"};
-    expect_damage(f, bytes, size, &entry, 1, sign);
+    expect_damage(f, bytes, size, cases, sizeof cases / sizeof *cases);
+    /* A table entry that claims more triangles than a chunk may have, and one with a checksum of a
+     * sample that there is not. */
+    const size_t table = tris_u64_at(bytes, 112);
+    const struct damage entries[] = {{table + 24, UINT32_MAX, "entry 0 of the table"},
+                                     {table + 64, 1, "entry 0 of the table"}};
+    expect_damage(f, bytes, size, entries, 2);
     free(bytes);
 }
 
