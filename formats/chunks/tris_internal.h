@@ -178,6 +178,8 @@ int fmt_tris_read_unchanged(const struct fmt_tris_file *file, void *to, uint64_t
  * too. */
 void fmt_tris_make_sample(const struct fmt_tris_chunk *chunk,
                           const struct fmt_tris_chunk_info *info, uint8_t *out);
+/* Returns whether the records of a sample are as FORMATS.md says. */
+bool fmt_tris_sample_valid(const void *sample, uint32_t triangles);
 
 /* ---- tris_parts.c ---- */
 

@@ -231,6 +231,8 @@ static const char *fault_of(const struct fmt_tris_chunk *chunk,
         return "a vertex is not used";
     if (chunk->samples && XXH3_64bits(chunk->samples, sample_bytes) != info->sample_checksum)
         return "its sample's checksum does not match";
+    if (chunk->samples && !fmt_tris_sample_valid(chunk->samples, chunk->triangle_count))
+        return "a record of its sample is not valid";
     if (!normals_valid(chunk))
         return "a normal is not valid";
     return colors_opaque(chunk) ? NULL : "a colour is not opaque";

@@ -273,6 +273,27 @@ static bool is_empty(const struct tris_surfel *surfel)
     return memcmp(surfel, &none, sizeof none) == 0;
 }
 
+static bool is_valid(const struct tris_surfel *surfel)
+{
+    const uint32_t lower = surfel->normal & 0xffff, upper = surfel->normal >> 16;
+    bool valid = upper == TRIS_NOT_A_PLANE >> 16 ? lower < 1 << 6 : lower != 0x8000;
+    for (int k = 0; k < 3; k++)
+        valid &= surfel->low[k] <= surfel->high[k];
+    return valid;
+}
+
+bool fmt_tris_sample_valid(const void *sample, uint32_t triangles)
+{
+    bool valid = true, ended = false;
+    for (uint32_t i = 0; i < tris_surfel_count(triangles); i++) {
+        struct tris_surfel surfel;
+        memcpy(&surfel, (const uint8_t *)sample + i * sizeof surfel, sizeof surfel);
+        valid &= is_valid(&surfel) && !(ended && !is_empty(&surfel));
+        ended |= is_empty(&surfel);
+    }
+    return valid;
+}
+
 int fmt_tris_load_sample(const struct fmt_tris_file *file, uint64_t index, void *scratch,
                          struct fmt_tris_chunk *out, bool *found)
 {

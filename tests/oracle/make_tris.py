@@ -49,6 +49,16 @@ def _material(random, channels):
             [_source(random, 5, [None, b"/r.png"]) for _ in channels])
 
 
+def _sample(random, count):
+    """Records of planes and of boxes, and zeros after the last one."""
+    records = numpy.zeros(count, [("box", "<u2", (2, 3)), ("normal", "<u4")])
+    used = random.integers(0, count + 1)
+    records["box"][:used] = numpy.sort(random.integers(0, 65536, (used, 2, 3)), axis=1)
+    records["normal"][:used] = numpy.where(random.random(used) < 0.5, _normals(random, used),
+                                           0x80000000 + random.integers(0, 64, used))
+    return records.view("u1")
+
+
 def _make_chunk(random, attributes, material_count):
     nt = int(random.choice([1, 2, 3, 7, 50, 300]))
     nv = int(random.integers(1, 3 * nt + 1))
@@ -65,7 +75,7 @@ def _make_chunk(random, attributes, material_count):
         numbers = list(range(material_count)) + [NONE]
         chunk["materials"] = random.choice(numbers, nt).astype("<u4")
     if attributes & SAMPLES:
-        chunk["samples"] = numpy.frombuffer(random.bytes(16 * ((nt + 63) // 64)), "u1")
+        chunk["samples"] = _sample(random, (nt + 63) // 64)
     chunk["triangles"] = corners.reshape(nt, 3).astype("<u4")
     chunk["bounds"] = _bounds(chunk["positions"])
     return chunk
@@ -216,7 +226,7 @@ def _odd_triangle(random, scan):
 
 def _odd_attribute(random, scan):
     for chunk in scan["chunks"][-1:]:
-        names = [n for n in ("normals", "colors", "materials", "texcoords") if n in chunk]
+        names = [n for n in ("normals", "colors", "materials", "texcoords", "samples") if n in chunk]
         if names:
             values = chunk[random.choice(names)].view("<u4").ravel()
             values[random.integers(0, len(values))] = random.choice(

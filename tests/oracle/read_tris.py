@@ -248,6 +248,15 @@ def _load_chunk(data, header, entry):
     return chunk
 
 
+def _verify_sample(records):
+    lower, upper = records["normal"] & 0xFFFF, records["normal"] >> 16
+    need((records["low"] <= records["high"]).all(), "low of a sample's record")
+    need(((upper == 0x8000) & (lower < 64) | (upper != 0x8000) & (lower != 0x8000)).all(),
+         "normal of a sample's record")
+    zero = [record.tobytes() == bytes(16) for record in records]
+    need(zero == sorted(zero), "a record after the last one of a sample")
+
+
 def _verify_chunk(chunk):
     p = chunk.positions
     need((p.min(axis=0) == chunk.entry.bounds_min).all(), "lower bounds are not exact")
@@ -260,6 +269,7 @@ def _verify_chunk(chunk):
     if chunk.samples is not None:
         need(chunk.entry.sample_checksum == checksum(chunk.samples.tobytes()),
              "checksum of a sample")
+        _verify_sample(chunk.samples.view([("low", "<u2", 3), ("high", "<u2", 3), ("normal", "<u4")]))
 
 
 def _verify_bounds(content):

@@ -334,6 +334,41 @@ FIXTURE_TEST(values_out_of_range_are_found)
     free(bytes);
 }
 
+/* A faulty writer's samples have right checksums. */
+FIXTURE_TEST(records_of_samples_are_checked)
+{
+    static const struct {
+        size_t at; /* in the sample */
+        uint16_t upper, value;
+        const char *message;
+    } cases[] = {{0, 0, 1, NULL},
+                 {6, 0, 0, "a record of its sample is not valid"},       /* high is below low */
+                 {12, 0, 0x8000, "a record of its sample is not valid"}, /* in a normal */
+                 {12, 0x8000, 63, NULL},                                 /* directions */
+                 {12, 0x8000, 64, "a record of its sample is not valid"},
+                 {31 * 16, 0, 1, "a record of its sample is not valid"}}; /* after the last one */
+    const size_t sample = 176 + 12 * 3000, end = sample + 32 * 16;
+    size_t size;
+    uint8_t *bytes = write_one(f, false, &size);
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        const uint16_t record[8] = {1, 2, 3, 4, 5, 6, 0, cases[i].upper};
+        struct fmt_tris_file *file;
+        memset(bytes + sample, 0, end - sample);
+        memcpy(bytes + sample, record, sizeof record);
+        memcpy(bytes + sample + cases[i].at, &cases[i].value, sizeof cases[i].value);
+        set_sum(bytes, tris_u64_at(bytes, 112) + 64, sample, end);
+        sign(bytes, size);
+        test_bytes(tris_path, bytes, size);
+        bsq_clear_error(f->ctx);
+        bsq_forget_files(f->ctx);
+        assert_int_equal(fmt_tris_open(f->ctx, tris_path, &file), 0);
+        assert_int_equal(fmt_tris_verify(file, NULL), cases[i].message ? BSQ_EDATA : 0);
+        assert_true(!cases[i].message || strstr(bsq_error(f->ctx), cases[i].message));
+        fmt_tris_close(file);
+    }
+    free(bytes);
+}
+
 /* A file that ends within the first bytes is a damaged one, also an empty one. */
 FIXTURE_TEST(short_files_are_damaged)
 {
