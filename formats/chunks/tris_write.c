@@ -12,6 +12,7 @@
 #include "base/file_extent.h"
 #include "base/tile_files.h"
 
+#include <inttypes.h>
 #include <math.h>
 #include <xxhash.h>
 
@@ -244,11 +245,12 @@ static uint64_t text_bytes(const char *text)
 static int put_text(struct fmt_tris_writer *writer, const void *entry, uint64_t bytes,
                     const char *text)
 {
-    if (text_bytes(text) >= TRIS_NO_PATH)
-        return bsq_fail(writer->ctx, BSQ_EUSAGE, "a material's name or path has %zu bytes",
-                        strlen(text));
+    const uint64_t length = text_bytes(text);
+    if (length >= TRIS_NO_PATH)
+        return bsq_fail(writer->ctx, BSQ_EUSAGE, "a material's name or path has %" PRIu64 " bytes",
+                        length);
     int status = put(writer, entry, bytes);
-    return status < 0 ? status : put(writer, text, text_bytes(text));
+    return status < 0 ? status : put(writer, text, length);
 }
 
 /* Appends what a material and a channel of one have first. bits: beside those of `uv`. */
