@@ -93,20 +93,38 @@ static int check_space(struct bsq_ctx *ctx, const struct bake_backend *backend,
     return 0;
 }
 
+/* Builds the tree that a device needs for rays from hits. Fails with BSQ_RETRY if there is none. */
+static int make_tree(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_tree *tree)
+{
+    int status = bake_tree_build(ctx, job->grid, bsq_memory_left(ctx), tree);
+    if (status == 0 && !tree->nodes && job->grid->leaf_count > 0)
+        status =
+            bsq_fail(ctx, BSQ_RETRY,
+                     "rays from hits need a tree around the grid's leaves; it does not fit the "
+                     "memory budget, or the grid is wider than %d voxels",
+                     BAKE_TREE_EXTENT);
+    return status;
+}
+
 /* Copies the grid to a device with memory of its own. */
 static int load_grid(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_backend *backend)
 {
     char why[BAKE_WHY_BYTES] = "";
+    struct bake_tree tree = {0};
     struct bake_grid_arrays grid;
-    int status;
+    int status = 0;
     if (!backend->load)
         return 0;
-    bake_list_arrays(job, &grid);
-    status = check_space(ctx, backend, &grid);
-    if (status < 0)
-        return status;
+    if (bake_ray_count(&job->params) > 0)
+        BSQ_TRY(make_tree(ctx, job, &tree));
+    bake_list_arrays(job, &tree, &grid);
+    BSQ_TRY(check_space(ctx, backend, &grid));
     status = backend->load(backend, &grid, why);
-    return status < 0 ? bsq_fail(ctx, status, "%s: %s", backend->name, why) : 0;
+    if (status < 0)
+        status = bsq_fail(ctx, status, "%s: %s", backend->name, why);
+done:
+    bake_tree_free(ctx, &tree);
+    return status;
 }
 
 /* Opens a device and loads the grid. Errors: BSQ_RETRY if the grid does not fit; those of open()

@@ -1,42 +1,75 @@
-/* bake.cl - the kernel's entry on devices, as OpenCL C or CUDA. A work item is a texel of a patch.
- */
+/* bake.cl - the kernel's entries on devices, as OpenCL C or CUDA. */
 #include "bk_sample.h"
 
-/* `colors` begins with the linear values of the sRGB codes, as 256 floats. The words of transfer
- * maps follow (bk_grid.h), then colours, ids and further channels.
- *
- * Traces rows first_row to end_row - 1 of a patch; work item (x, y) is texel (x, first_row + y). Of
- * each texel it traces lines first_line to end_line - 1 of the samples. The launch with line 0
- * starts the texel's sums, later launches add to them. `texels` holds the whole patch. */
-BK_KERNEL bake_patch(
-    const BK_GLOBAL bk_ulong *BK_RESTRICT tiles, const BK_GLOBAL bk_ulong *BK_RESTRICT uppers,
-    const BK_GLOBAL bk_ulong *BK_RESTRICT lowers, const BK_GLOBAL bk_ulong *BK_RESTRICT leaves,
-    const BK_GLOBAL bk_uint *BK_RESTRICT normals, const BK_GLOBAL bk_uint *BK_RESTRICT planes,
-    const BK_GLOBAL bk_uint *BK_RESTRICT colors, const BK_GLOBAL bk_uint *BK_RESTRICT seconds,
-    const BK_GLOBAL bk_triangle *BK_RESTRICT triangles, bk_params params, bk_patch patch,
-    bk_uint first_row, bk_uint end_row, bk_uint first_line, bk_uint end_line,
-    const BK_GLOBAL bk_uint *BK_RESTRICT sample_triangles, BK_GLOBAL float *BK_RESTRICT texels)
+/* The arrays of a grid. `colors` begins with the linear values of the sRGB codes, as 256 floats. The
+ * words of transfer maps follow (bk_grid.h), then colours, ids and further channels. nodes, blocks:
+ * the tree around the leaves. An array that no map needs is missing. */
+#define BK_GRID_ARRAYS                                                                             \
+    const BK_GLOBAL bk_ulong *BK_RESTRICT tiles, const BK_GLOBAL bk_ulong *BK_RESTRICT uppers,     \
+        const BK_GLOBAL bk_ulong *BK_RESTRICT lowers, const BK_GLOBAL bk_ulong *BK_RESTRICT leaves, \
+        const BK_GLOBAL bk_uint *BK_RESTRICT normals, const BK_GLOBAL bk_uint *BK_RESTRICT planes, \
+        const BK_GLOBAL bk_uint *BK_RESTRICT colors, const BK_GLOBAL bk_uint *BK_RESTRICT seconds, \
+        const BK_GLOBAL bk_ulong2 *BK_RESTRICT nodes, const BK_GLOBAL bk_ulong *BK_RESTRICT blocks
+
+/* Sets a grid to the arrays of a kernel. */
+#define BK_SET_GRID(grid, params)                                                                  \
+    do {                                                                                           \
+        bk_grid_from_params(&(grid), &(params));                                                   \
+        (grid).tiles = tiles;                                                                      \
+        (grid).uppers = uppers;                                                                    \
+        (grid).lowers = lowers;                                                                    \
+        (grid).leaves = leaves;                                                                    \
+        (grid).normals = normals;                                                                  \
+        (grid).planes = planes;                                                                    \
+        (grid).srgb = (const BK_GLOBAL float *)colors;                                             \
+        (grid).transfers = colors + 256;                                                           \
+        (grid).colors = (grid).transfers + bk_transfers((params).maps);                            \
+        (grid).seconds = seconds;                                                                  \
+        (grid).nodes = nodes;                                                                      \
+        (grid).blocks = blocks;                                                                    \
+    } while (0)
+
+/* Traces the samples of a batch, see bk_batch; work item (x, y) is texel (first_column + x,
+ * first_row + y). The batch with line 0 starts the texel's sums, later ones add to them. `texels`
+ * holds the whole patch. stage: BK_ADD if no rays start at hits; else BK_POINTS, which stores
+ * viewpoints in `points`, and then BK_ADD_FOUND, which takes what bake_look() found. */
+BK_KERNEL bake_patch(BK_GRID_ARRAYS, bk_params params,
+                     const BK_GLOBAL bk_triangle *BK_RESTRICT triangles, bk_patch patch,
+                     bk_batch batch, bk_uint stage,
+                     const BK_GLOBAL bk_uint *BK_RESTRICT sample_triangles,
+                     BK_GLOBAL bk_viewpoint *BK_RESTRICT points,
+                     const BK_GLOBAL float *BK_RESTRICT found, BK_GLOBAL float *BK_RESTRICT texels)
 {
-    const bk_uint column = bk_work_x(), row = first_row + bk_work_y();
+    const bk_uint column = batch.first_column + bk_work_x(), row = batch.first_row + bk_work_y();
     bk_cache cache = bk_cache_empty();
+    bk_looks looks;
     bk_grid grid;
 
-    if (column >= patch.width || row >= end_row)
+    if (column >= batch.end_column || row >= batch.end_row)
         return;
-    bk_grid_from_params(&grid, &params);
-    grid.tiles = tiles;
-    grid.uppers = uppers;
-    grid.lowers = lowers;
-    grid.leaves = leaves;
-    grid.normals = normals;
-    grid.planes = planes;
-    grid.srgb = (const BK_GLOBAL float *)colors;
-    grid.transfers = colors + 256;
-    grid.colors = grid.transfers + bk_transfers(params.maps);
-    grid.seconds = seconds;
+    BK_SET_GRID(grid, params);
+    looks.stage = stage;
+    looks.points = points;
+    looks.found = found;
     texels += ((bk_ulong)row * patch.width + column) * bk_texel_floats(params.maps);
-    if (first_line == 0)
+    if (batch.first_line == 0 && stage != BK_POINTS)
         bk_clear_texel(params.maps, texels);
-    bk_sample_texel(&grid, &params, &cache, triangles, &patch, sample_triangles, column, row,
-                    first_line, end_line, texels);
+    bk_sample_texel(&grid, &params, &cache, triangles, &patch, &batch, sample_triangles, column,
+                    row, &looks, texels);
+}
+
+/* Traces the rays of the viewpoints that BK_POINTS stored; work item (x, y) is ray x of viewpoint y
+ * of `count`. found: the value of each ray. */
+BK_KERNEL bake_look(BK_GRID_ARRAYS, bk_params params,
+                    const BK_GLOBAL bk_viewpoint *BK_RESTRICT points, bk_uint count,
+                    BK_GLOBAL float *BK_RESTRICT found)
+{
+    const bk_uint ray = bk_work_x(), point = bk_work_y();
+    bk_grid grid;
+
+    if (ray >= bk_ray_count(&params) || point >= count)
+        return;
+    BK_SET_GRID(grid, params);
+    bk_look_from(&grid, &params, &points[point], ray,
+                 &found[(bk_ulong)point * bk_ray_count(&params) + ray]);
 }

@@ -3,6 +3,9 @@
  * Devices that round as IEEE 754 requires must give the same bits. So the kernel uses only + - * /
  * sqrt floor and comparisons in float, and contraction is off.
  *
+ * bk_lower() and bk_upper() are for numbers that are not NaN, where it does not matter which zero
+ * they return.
+ *
  * BK_FN begins the definition of a function. BK_GLOBAL marks pointers to a device's memory, such as
  * the grid and the texels; it is empty in C and CUDA. BK_ROLLED stands before a loop that GPUs do
  * not unroll, because its copies would need more registers than there are.
@@ -20,6 +23,7 @@
 typedef int bk_int;
 typedef uint bk_uint;
 typedef ulong bk_ulong;
+typedef ulong2 bk_ulong2;
 #define BK_GLOBAL __global
 #define BK_KERNEL __kernel void
 
@@ -31,6 +35,8 @@ typedef ulong bk_ulong;
 #define bk_sqrt(x)       __nvvm_sqrt_rn_f(x)
 #define bk_floor(x)      __builtin_floorf(x)
 #define bk_abs(x)        __builtin_fabsf(x)
+#define bk_lower(a, b)   __builtin_fminf(a, b)
+#define bk_upper(a, b)   __builtin_fmaxf(a, b)
 #define bk_popcount32(x) ((bk_uint)__builtin_popcount(x))
 #define bk_popcount64(x) ((bk_uint)__builtin_popcountl(x))
 #define bk_work_x()                                                                                \
@@ -44,6 +50,8 @@ typedef ulong bk_ulong;
 #define bk_sqrt(x)       sqrt(x)
 #define bk_floor(x)      floor(x)
 #define bk_abs(x)        fabs(x)
+#define bk_lower(a, b)   fmin(a, b)
+#define bk_upper(a, b)   fmax(a, b)
 #define bk_popcount32(x) popcount((bk_uint)(x))
 #define bk_popcount64(x) ((bk_uint)popcount((bk_ulong)(x)))
 #define bk_work_x()      ((bk_uint)get_global_id(0))
@@ -59,6 +67,7 @@ typedef ulong bk_ulong;
 typedef int bk_int;
 typedef unsigned int bk_uint;
 typedef unsigned long long bk_ulong;
+typedef ulonglong2 bk_ulong2;
 #define BK_GLOBAL
 #define BK_FN            static __device__ __forceinline__
 #define BK_ROLLED        _Pragma("unroll 1")
@@ -69,6 +78,8 @@ typedef unsigned long long bk_ulong;
 #define bk_sqrt(x)       sqrtf(x)
 #define bk_floor(x)      floorf(x)
 #define bk_abs(x)        fabsf(x)
+#define bk_lower(a, b)   fminf(a, b)
+#define bk_upper(a, b)   fmaxf(a, b)
 #define bk_popcount32(x) ((bk_uint)__popc(x))
 #define bk_popcount64(x) ((bk_uint)__popcll(x))
 #define bk_prefetch(p)   ((void)0)
@@ -83,12 +94,17 @@ typedef unsigned long long bk_ulong;
 typedef int32_t bk_int;
 typedef uint32_t bk_uint;
 typedef uint64_t bk_ulong;
+typedef struct bk_ulong2 {
+    bk_ulong x, y;
+} bk_ulong2;
 #define BK_GLOBAL
 #define BK_FN static inline
 #define BK_ROLLED
 #define bk_sqrt(x)       sqrtf(x)
 #define bk_floor(x)      floorf(x)
 #define bk_abs(x)        fabsf(x)
+#define bk_lower(a, b)   ((a) < (b) ? (a) : (b))
+#define bk_upper(a, b)   ((a) > (b) ? (a) : (b))
 #define bk_popcount32(x) ((bk_uint)__builtin_popcount(x))
 #define bk_popcount64(x) ((bk_uint)__builtin_popcountll(x))
 #define bk_prefetch(p)   __builtin_prefetch(p)

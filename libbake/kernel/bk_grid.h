@@ -38,6 +38,9 @@ typedef struct bk_grid {
     const BK_GLOBAL bk_ulong *tiles, *uppers, *lowers, *leaves;
     const BK_GLOBAL bk_uint *normals, *planes, *colors, *seconds;
     const BK_GLOBAL float *srgb; /* linear values of the 256 sRGB codes */
+    /* The tree around the leaves: nodes, and the occupied voxels of each leaf's blocks. */
+    const BK_GLOBAL bk_ulong2 *nodes;
+    const BK_GLOBAL bk_ulong *blocks;
     bk_uint tile_count, upper_count, lower_count, leaf_count, second_count;
     /* Byte distances: root to uppers, uppers to lowers, lowers to leaves. */
     bk_ulong upper_offset, lower_offset, leaf_offset;

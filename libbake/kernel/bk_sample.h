@@ -2,7 +2,7 @@
 #ifndef BAKE_KERNEL_BK_SAMPLE_H
 #define BAKE_KERNEL_BK_SAMPLE_H
 
-#include "bk_secondary.h"
+#include "bk_tree.h"
 
 /* Points of the low-poly mesh. Vectors are interpolated, so they are not unit vectors. */
 typedef struct bk_point {
@@ -248,7 +248,7 @@ BK_FN void bk_trace_hits(const bk_grid *grid, const bk_params *params, bk_cache 
     const bk_uint passes = params->maps >> BK_MAP_confidence & 1u ? 2 : 1;
     bk_lines lines;
     bk_hits hits;
-    bk_uint lane, pass;
+    bk_uint lane, pass = 0;
 
     traced->points = bk_points_at(params, triangles, samples);
     traced->start = bk_start_at(params, &traced->points);
@@ -261,14 +261,17 @@ BK_FN void bk_trace_hits(const bk_grid *grid, const bk_params *params, bk_cache 
     lines.t_max = traced->start.t_max;
     for (lane = 0; lane < BK_WIDTH; lane++)
         lines.sums[lane] = samples->texel[lane] + transfers;
+    /* GCC 12 does not see that the first pass sets it. */
+    traced->hits.color = bk_splat3(bk_v3(0.0f, 0.0f, 0.0f));
     /* A loop, so that bk_trace() is compiled into one place. */
     BK_ROLLED
-    for (pass = 0; pass < passes; pass++) {
+    for (;;) {
         bk_trace(grid, params, cache, &lines, &hits);
-        if (pass == 0) {
+        if (pass == 0)
             traced->hits = hits;
-            bk_look_past(&hits, &lines);
-        }
+        if (++pass == passes)
+            break;
+        bk_look_past(&hits, &lines);
     }
     bk_hits_for_maps(params, &traced->points, &traced->start, &traced->hits, out);
     out->confidence = bk_splat(0.0f);
@@ -309,7 +312,11 @@ BK_FN void bk_trace_samples(const bk_grid *grid, const bk_params *params, bk_cac
         sums[lane] = bk_no_surroundings();
         if (out->found >> lane & 1u) {
             const bk_viewpoint from = bk_viewpoint_of_hit(params, samples, &traced, lane);
+#if BK_WIDTH == 1
             sums[lane] = bk_look_around(grid, params, cache, &from);
+#else
+            sums[lane] = bk_look_around(grid, params, cache, &from);
+#endif
         }
     }
     bk_surroundings_for_maps(params, &traced.points, sums, out);
@@ -373,33 +380,68 @@ BK_FN float bk_sample_position(bk_uint texel, bk_uint i, bk_uint n)
 }
 
 #if BK_WIDTH == 1
-/* Adds lines of samples from `begin` to end - 1 to the sums of texel (column, row) of a patch. */
+/* Viewpoints of samples, and what the rays from these found. */
+typedef struct bk_looks {
+    bk_uint stage; /* BK_ADD ..; BK_ADD: the other fields are not used */
+    BK_GLOBAL bk_viewpoint *points;
+    const BK_GLOBAL float *found; /* bk_ray_count() values for each point */
+} bk_looks;
+
+/* Adds a sample to its texel, or stores its viewpoint. index: of its viewpoint. */
+BK_FN void bk_trace_sample(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                           const BK_GLOBAL bk_triangle *triangles, const bk_samples *samples,
+                           const bk_looks *looks, bk_uint index)
+{
+    bk_surroundings sums = bk_no_surroundings();
+    bk_viewpoint from;
+    bk_traced traced;
+    bk_map_hits hits;
+
+    bk_trace_hits(grid, params, cache, triangles, samples, &traced, &hits);
+    from = bk_viewpoint_of_hit(params, samples, &traced, 0);
+    if (looks->stage == BK_POINTS) {
+        from.side = hits.found ? from.side : 0.0f;
+        looks->points[index] = from;
+        return;
+    }
+    if (looks->stage == BK_ADD_FOUND) {
+        if (hits.found)
+            sums = bk_add_up(params, &from, looks->found + (bk_ulong)index * bk_ray_count(params));
+        bk_surroundings_for_maps(params, &traced.points, &sums, &hits);
+    }
+    bk_add_sample(params, &hits, 0, samples->texel[0]);
+}
+
+/* Traces the samples of texel (column, row) of a patch that are in a batch. */
 BK_FN void bk_sample_texel(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                            const BK_GLOBAL bk_triangle *triangles, const bk_patch *patch,
-                           const BK_GLOBAL bk_uint *sample_triangles, bk_uint column, bk_uint row,
-                           bk_uint begin, bk_uint end, BK_GLOBAL float *texel)
+                           const bk_batch *batch, const BK_GLOBAL bk_uint *sample_triangles,
+                           bk_uint column, bk_uint row, const bk_looks *looks,
+                           BK_GLOBAL float *texel)
 {
-    const bk_uint n = params->samples;
+    const bk_uint n = params->samples, lines = batch->end_line - batch->first_line;
+    const bk_uint texels = (row - batch->first_row) * (batch->end_column - batch->first_column) +
+                           (column - batch->first_column);
+    bk_uint i, j, index = texels * lines * n;
     bk_samples samples;
-    bk_map_hits hits;
-    bk_uint i, j;
 
     samples.count = 1;
     samples.texel[0] = texel;
-    for (j = begin; j < end; j++) {
+    for (j = batch->first_line; j < batch->end_line; j++) {
         samples.y[0] = bk_sample_position(patch->y + row, j, n);
-        for (i = 0; i < n; i++) {
-            const bk_ulong index = bk_sample_index(patch, n, column, row, i, j);
+        for (i = 0; i < n; i++, index++) {
+            const bk_ulong number = bk_sample_index(patch, n, column, row, i, j);
             samples.x[0] = bk_sample_position(patch->x + column, i, n);
-            samples.triangle[0] = sample_triangles[index];
-            if (samples.triangle[0] == BK_NO_TRIANGLE)
-                continue;
-            samples.skew[0] = bk_sample_skew(params, patch, sample_triangles, index);
-            bk_trace_samples(grid, params, cache, triangles, &samples, &hits);
-            bk_add_sample(params, &hits, 0, texel);
+            samples.triangle[0] = sample_triangles[number];
+            samples.skew[0] = bk_sample_skew(params, patch, sample_triangles, number);
+            if (samples.triangle[0] != BK_NO_TRIANGLE)
+                bk_trace_sample(grid, params, cache, triangles, &samples, looks, index);
+            else if (looks->stage == BK_POINTS)
+                looks->points[index].side = 0.0f;
         }
     }
 }
+
 #endif
 
 #endif

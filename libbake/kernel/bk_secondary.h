@@ -66,6 +66,11 @@ BK_FN bk_uint bk_solid_rays(const bk_params *params)
     return params->maps & 1u << BK_MAP_thickness ? params->thickness_rays : 0;
 }
 
+BK_FN bk_uint bk_ray_count(const bk_params *params)
+{
+    return bk_open_rays(params) + bk_solid_rays(params);
+}
+
 /* Seeds of the directions of rays into the solid differ from those of open rays in these bits. */
 #define BK_SOLID_SEED 4u
 
@@ -436,6 +441,35 @@ BK_FN void bk_add_looks(const bk_params *params, const bk_rays *rays, bk_uint co
             sums->solids += 1.0f;
         }
     }
+}
+
+/* Adds up what the rays of a point found, as bk_look_around() does. found: of all its rays, open
+ * ones first. */
+BK_FN bk_surroundings bk_add_up(const bk_params *params, const bk_viewpoint *from,
+                                const BK_GLOBAL float *found)
+{
+    const bk_fw zero = bk_splat(0.0f);
+    const bk_uint directed = params->maps & 1u << BK_MAP_bent;
+    bk_surroundings sums = bk_no_surroundings();
+    bk_uint open, first, lane;
+
+    for (open = 2; open-- > 0;) {
+        const bk_rays rays = bk_rays_of(params, open);
+        BK_ROLLED
+        for (first = 0; first < rays.count; first += BK_WIDTH) {
+            const bk_uint left = rays.count - first, count = left < BK_WIDTH ? left : BK_WIDTH;
+            bk_vec3w directions = bk_v3w(zero, zero, zero);
+            bk_fw t = zero;
+            for (lane = 0; lane < count; lane++)
+                bk_set_lane(t, lane, found[first + lane]);
+            if (directed)
+                directions = bk_ray_directions(&rays, from->share, from->normal, first);
+            bk_add_looks(params, &rays, count, t, directions, &sums);
+        }
+        found += rays.count;
+    }
+    bk_end_surroundings(params, &sums);
+    return sums;
 }
 
 /* Sends the rays of one point, open ones first. Sums run in the order of rays, so that they do not

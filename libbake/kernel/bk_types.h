@@ -80,6 +80,20 @@ typedef struct bk_patch {
     bk_uint x, y, width, height; /* texels */
 } bk_patch;
 
+/* What a launch does with samples. */
+enum {
+    BK_ADD,      /* traces them and adds them to their texels */
+    BK_POINTS,   /* traces them and stores their viewpoints */
+    BK_ADD_FOUND /* traces them again, and adds them with what the rays from the viewpoints found */
+};
+
+/* Samples of a patch that launches trace together: lines first_line to end_line - 1 of the samples
+ * of each texel in these rows and columns. Stored viewpoints are in the order of rows, columns,
+ * lines and samples. */
+typedef struct bk_batch {
+    bk_uint first_row, end_row, first_column, end_column, first_line, end_line;
+} bk_batch;
+
 /* What a ray found. */
 typedef struct bk_hit {
     bk_uint found;

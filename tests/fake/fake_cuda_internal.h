@@ -86,13 +86,16 @@ bool fake_is_locked(const void *memory, size_t bytes);
 
 /* ---- streams ---- */
 
-/* Arguments of a launch, in the kernel's order. */
+enum { GRID_ARRAYS = 10 };
+
+/* Arguments of a launch: those of bake_patch() and, if `looks`, some that bake_look() has. */
 struct arguments {
-    CUdeviceptr arrays[9];
+    bool looks;
+    CUdeviceptr arrays[GRID_ARRAYS], triangles, samples, points, found, texels;
     bk_params params;
     bk_patch patch;
-    bk_uint first_row, end_row, first_line, end_line;
-    CUdeviceptr samples, texels;
+    bk_batch batch;
+    bk_uint stage, point_count;
 };
 
 struct work {
@@ -102,7 +105,7 @@ struct work {
     size_t bytes;
     struct arguments arguments;
     unsigned grid[2], block[2];
-    CUdeviceptr used[11]; /* the last `written` of them are written */
+    CUdeviceptr used[GRID_ARRAYS + 5]; /* the last `written` of them are written */
     unsigned use_count, written;
     CUevent event;
     struct work *next;

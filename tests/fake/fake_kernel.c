@@ -1,5 +1,6 @@
 /* fake_kernel.c - the fake driver's modules and launches. They run the kernel that is compiled as
  * C. */
+#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -7,57 +8,91 @@
 #include "libbake/kernel/bk_sample.h"
 #include "tests/fake/fake_cuda_internal.h"
 
-/* Sizes of a launch's arguments. */
-static const size_t argument_bytes[] = {
-    8, 8, 8, 8, 8, 8, 8, 8, 8, sizeof(bk_params), sizeof(bk_patch), 4, 4, 4, 4, 8, 8};
-enum { ARGUMENTS = sizeof argument_bytes / sizeof argument_bytes[0] };
+enum { ARGUMENTS_MAX = 19 };
 
-/* Returns the addresses of the kernel's arguments. */
-static void place_arguments(struct arguments *a, void *to[ARGUMENTS])
+/* The kernels, and the places of their arguments in struct arguments. */
+#define PLACE(member)                                                                              \
+    {                                                                                              \
+        offsetof(struct arguments, member), sizeof((struct arguments *)0)->member                  \
+    }
+#define PLACES_OF_ARRAYS                                                                           \
+    PLACE(arrays[0]), PLACE(arrays[1]), PLACE(arrays[2]), PLACE(arrays[3]), PLACE(arrays[4]),      \
+        PLACE(arrays[5]), PLACE(arrays[6]), PLACE(arrays[7]), PLACE(arrays[8]), PLACE(arrays[9])
+static const struct kernel {
+    const char *name, *entry;
+    struct {
+        size_t at, bytes;
+    } places[ARGUMENTS_MAX];
+} kernels[] = {
+    {"bake_patch",
+     ".entry bake_patch(",
+     {PLACES_OF_ARRAYS, PLACE(params), PLACE(triangles), PLACE(patch), PLACE(batch), PLACE(stage),
+      PLACE(samples), PLACE(points), PLACE(found), PLACE(texels)}},
+    {"bake_look",
+     ".entry bake_look(",
+     {PLACES_OF_ARRAYS, PLACE(params), PLACE(points), PLACE(point_count), PLACE(found)}}};
+enum { KERNELS = sizeof kernels / sizeof *kernels };
+
+#define ARRAY(type, address) ((address) ? (type *)fake_device_memory(address, 1) : NULL)
+
+static void set_grid(const struct arguments *a, bk_grid *grid)
 {
-    void *const places[ARGUMENTS] = {
-        &a->arrays[0], &a->arrays[1],  &a->arrays[2], &a->arrays[3], &a->arrays[4], &a->arrays[5],
-        &a->arrays[6], &a->arrays[7],  &a->arrays[8], &a->params,    &a->patch,     &a->first_row,
-        &a->end_row,   &a->first_line, &a->end_line,  &a->samples,   &a->texels};
-
-    memcpy(to, places, sizeof places);
+    bk_grid_from_params(grid, &a->params);
+    grid->tiles = ARRAY(const bk_ulong, a->arrays[0]);
+    grid->uppers = ARRAY(const bk_ulong, a->arrays[1]);
+    grid->lowers = ARRAY(const bk_ulong, a->arrays[2]);
+    grid->leaves = ARRAY(const bk_ulong, a->arrays[3]);
+    grid->normals = ARRAY(const bk_uint, a->arrays[4]);
+    grid->planes = ARRAY(const bk_uint, a->arrays[5]);
+    grid->srgb = ARRAY(const float, a->arrays[6]);
+    grid->transfers = a->arrays[6] ? ARRAY(const bk_uint, a->arrays[6]) + 256 : NULL;
+    grid->colors = a->arrays[6] ? grid->transfers + bk_transfers(a->params.maps) : NULL;
+    grid->seconds = ARRAY(const bk_uint, a->arrays[7]);
+    grid->nodes = ARRAY(const bk_ulong2, a->arrays[8]);
+    grid->blocks = ARRAY(const bk_ulong, a->arrays[9]);
 }
 
-#define ARRAY(type, n) ((const type *)fake_device_memory(a->arrays[n], 1))
+/* Does what bake_patch() does for a work item. */
+static void run_texel(const struct arguments *a, const bk_grid *grid, bk_uint x, bk_uint y)
+{
+    const bk_looks looks = {a->stage, ARRAY(bk_viewpoint, a->points), ARRAY(float, a->found)};
+    const bk_uint column = a->batch.first_column + x, row = a->batch.first_row + y;
+    float *texel = ARRAY(float, a->texels) +
+                   ((size_t)row * a->patch.width + column) * bk_texel_floats(a->params.maps);
+    bk_cache cache = bk_cache_empty();
+
+    if (column >= a->batch.end_column || row >= a->batch.end_row)
+        return;
+    if (a->batch.first_line == 0 && a->stage != BK_POINTS)
+        bk_clear_texel(a->params.maps, texel);
+    bk_sample_texel(grid, &a->params, &cache, ARRAY(const bk_triangle, a->triangles), &a->patch,
+                    &a->batch, ARRAY(const bk_uint, a->samples), column, row, &looks, texel);
+}
+
+/* Does what bake_look() does for a work item. */
+static void run_ray(const struct arguments *a, const bk_grid *grid, bk_uint ray, bk_uint point)
+{
+    const bk_uint rays = bk_ray_count(&a->params);
+
+    if (ray < rays && point < a->point_count)
+        bk_look_from(grid, &a->params, ARRAY(const bk_viewpoint, a->points) + point, ray,
+                     ARRAY(float, a->found) + (size_t)point * rays + ray);
+}
 
 static void run_c(const struct work *work)
 {
     const struct arguments *a = &work->arguments;
     const unsigned width = work->grid[0] * work->block[0];
     const unsigned height = work->grid[1] * work->block[1];
-    const bk_uint *samples = fake_device_memory(a->samples, 1);
-    float *texels = fake_device_memory(a->texels, 1);
     bk_grid grid;
 
-    bk_grid_from_params(&grid, &a->params);
-    grid.tiles = ARRAY(bk_ulong, 0);
-    grid.uppers = ARRAY(bk_ulong, 1);
-    grid.lowers = ARRAY(bk_ulong, 2);
-    grid.leaves = ARRAY(bk_ulong, 3);
-    grid.normals = ARRAY(bk_uint, 4);
-    grid.planes = ARRAY(bk_uint, 5);
-    grid.srgb = a->arrays[6] ? ARRAY(float, 6) : NULL;
-    grid.transfers = a->arrays[6] ? ARRAY(bk_uint, 6) + 256 : NULL;
-    grid.colors = a->arrays[6] ? grid.transfers + bk_transfers(a->params.maps) : NULL;
-    grid.seconds = ARRAY(bk_uint, 7);
+    set_grid(a, &grid);
     for (bk_uint y = 0; y < height; y++)
-        for (bk_uint x = 0; x < width; x++) {
-            bk_cache cache = bk_cache_empty();
-            bk_uint row = a->first_row + y;
-            float *to =
-                texels + ((size_t)row * a->patch.width + x) * bk_texel_floats(a->params.maps);
-            if (x >= a->patch.width || row >= a->end_row)
-                continue;
-            if (a->first_line == 0)
-                bk_clear_texel(a->params.maps, to);
-            bk_sample_texel(&grid, &a->params, &cache, ARRAY(bk_triangle, 8), &a->patch, samples, x,
-                            row, a->first_line, a->end_line, to);
-        }
+        for (bk_uint x = 0; x < width; x++)
+            if (a->looks)
+                run_ray(a, &grid, x, y);
+            else
+                run_texel(a, &grid, x, y);
 }
 
 void fake_run_kernel(const struct work *work)
@@ -66,21 +101,23 @@ void fake_run_kernel(const struct work *work)
 
     run_c(work);
     if (fake.sample_seconds > 0) {
-        uint64_t lines = (uint64_t)(a->end_row - a->first_row) * (a->end_line - a->first_line);
+        const bk_batch *b = &a->batch;
+        uint64_t samples = (uint64_t)(b->end_row - b->first_row) *
+                           (b->end_column - b->first_column) * (b->end_line - b->first_line) *
+                           a->params.samples;
         pthread_mutex_lock(&fake.lock);
-        fake.virtual_now +=
-            fake.sample_seconds * (double)(lines * a->patch.width * a->params.samples);
+        fake.virtual_now += fake.sample_seconds * (double)samples;
         pthread_mutex_unlock(&fake.lock);
     }
 }
 
-/* Returns whether the entry's parameters have the sizes of argument_bytes. */
-static int entry_fits(const char *kernel)
+/* Returns whether a kernel's parameters have the sizes of its arguments. */
+static int entry_fits(const char *text, const struct kernel *kernel)
 {
-    const char *at = strstr(kernel, ".entry bake_patch(");
+    const char *at = strstr(text, kernel->entry);
     const char *end = at ? strchr(at, ')') : NULL;
 
-    for (int i = 0; i < ARGUMENTS; i++) {
+    for (int i = 0; i < ARGUMENTS_MAX && kernel->places[i].bytes > 0; i++) {
         char type[8], declaration[200] = "";
         size_t bytes = 1;
         if (!at || !(at = strstr(at, ".param ")) || at > end)
@@ -91,7 +128,7 @@ static int entry_fits(const char *kernel)
             ;
         else if (sscanf(declaration, ".u%7[0-9]", type) == 1)
             bytes = strtoul(type, NULL, 10) / 8;
-        if (bytes != argument_bytes[i])
+        if (bytes != kernel->places[i].bytes)
             return 0;
     }
     at = strstr(at, ".param ");
@@ -108,7 +145,8 @@ CUresult cuModuleLoadDataEx(CUmodule *module, const void *image, unsigned count,
     for (unsigned i = 0; i < count; i++)
         if (options[i] == CU_JIT_ERROR_LOG_BUFFER)
             log = values[i];
-    if (!target || atoi(target + strlen(".target sm_")) > fake.capability || !entry_fits(text)) {
+    if (!target || atoi(target + strlen(".target sm_")) > fake.capability ||
+        !entry_fits(text, &kernels[0]) || !entry_fits(text, &kernels[1])) {
         if (log)
             strcpy(log, "ptxas fatal\nnot for this GPU");
         return INVALID_PTX;
@@ -128,8 +166,12 @@ CUresult cuModuleUnload(CUmodule module)
 CUresult cuModuleGetFunction(CUfunction *function, CUmodule module, const char *name)
 {
     BEGIN_IN_CONTEXT;
-    *function = (CUfunction)module;
-    return strcmp(name, "bake_patch") == 0 ? CUDA_SUCCESS : NOT_FOUND;
+    for (int i = 0; module && i < KERNELS; i++)
+        if (strcmp(name, kernels[i].name) == 0) {
+            *function = (CUfunction)(uintptr_t)&kernels[i];
+            return CUDA_SUCCESS;
+        }
+    return NOT_FOUND;
 }
 
 /* Takes memory for spilled registers at the first launch, and advances the clock. */
@@ -152,22 +194,25 @@ CUresult cuLaunchKernel(CUfunction function, unsigned grid_x, unsigned grid_y, u
                         CUstream stream, void **parameters, void **extra)
 {
     struct work work = {.kind = LAUNCH, .grid = {grid_x, grid_y}, .block = {block_x, block_y}};
+    const struct kernel *kernel = (const struct kernel *)function;
     struct arguments *a = &work.arguments;
-    void *to[ARGUMENTS];
 
     BEGIN_IN_CONTEXT;
     if (!function || grid_x * grid_y != grid_x * grid_y * grid_z ||
         block_x * block_y * block_z > 1024 || block_x * block_y * block_z % 32 != 0 ||
         grid_y > 65535 || shared_bytes || extra)
         return INVALID_VALUE;
-    place_arguments(a, to);
-    for (int i = 0; i < ARGUMENTS; i++)
-        memcpy(to[i], parameters[i], argument_bytes[i]);
-    for (int i = 0; i < 9; i++)
+    for (int i = 0; i < ARGUMENTS_MAX && kernel->places[i].bytes > 0; i++)
+        memcpy((char *)a + kernel->places[i].at, parameters[i], kernel->places[i].bytes);
+    a->looks = kernel == &kernels[1];
+    for (int i = 0; i < GRID_ARRAYS; i++)
         work.used[work.use_count++] = a->arrays[i];
+    work.used[work.use_count++] = a->triangles;
     work.used[work.use_count++] = a->samples;
+    work.used[work.use_count++] = a->points;
+    work.used[work.use_count++] = a->found;
     work.used[work.use_count++] = a->texels;
-    work.written = 1;
+    work.written = 3;
     if (!take_local_memory())
         return CUDA_ERROR_OUT_OF_MEMORY;
     return fake_append(stream, &work);

@@ -7,12 +7,15 @@
 
 #include "base/context.h"
 #include "base/parallel.h"
+#include "libbake/kernel/bk_secondary.h"
 #include "libbake/raster/raster.h"
 
 enum {
     STAGING_BYTES = 16 << 20, /* half of the staging buffer */
     SHARE_BYTES = 1 << 20     /* that one thread copies at a time */
 };
+
+const char *const bake_kernel_names[BAKE_KERNEL_COUNT] = {"bake_patch", "bake_look"};
 
 int bake_compute_fail(const struct bake_compute *compute, struct bake_failure failure)
 {
@@ -35,10 +38,23 @@ static uint64_t texel_bytes(const struct bake_compute *compute, uint64_t texels)
     return texels * bk_texel_floats(compute->params.maps) * sizeof(float);
 }
 
+static uint64_t point_bytes(const struct bake_compute *compute)
+{
+    return bake_ray_count(&compute->params) > 0
+               ? bake_batch_samples(&compute->params) * sizeof(struct bk_viewpoint)
+               : 0;
+}
+
+static uint64_t found_bytes(const struct bake_compute *compute)
+{
+    return bake_batch_samples(&compute->params) * bake_ray_count(&compute->params) * sizeof(float);
+}
+
 static uint64_t worker_bytes(const struct bake_compute *compute)
 {
     return compute->worker_count * (sample_bytes(compute, compute->patch_texels) +
-                                    texel_bytes(compute, compute->patch_texels));
+                                    texel_bytes(compute, compute->patch_texels) +
+                                    point_bytes(compute) + found_bytes(compute));
 }
 
 static uint64_t triangle_bytes(const struct bake_job *job)
@@ -240,49 +256,84 @@ static int compute_load(struct bake_backend *backend, const struct bake_grid_arr
 
 /* ---- patches ---- */
 
-static uint32_t min_u32(uint32_t a, uint32_t b)
+static void add_argument(struct bake_launch *launch, const void *value, uint64_t bytes)
 {
-    return a < b ? a : b;
+    launch->arguments[launch->count++] = (struct bake_argument){bytes, value};
+}
+#define ADD(launch, value) add_argument(launch, &(value), sizeof(value))
+
+/* Starts the list of a launch's arguments, with the arrays of the grid. */
+static struct bake_launch begin_launch(const struct bake_compute *compute, int kernel)
+{
+    struct bake_launch launch = {.kernel = kernel};
+    for (int i = 0; i < BAKE_GRID_ARRAYS; i++)
+        ADD(&launch, compute->arrays[i]);
+    ADD(&launch, compute->params);
+    return launch;
 }
 
-/* Returns how many of a texel's lines of samples one launch traces. */
-static uint32_t launch_lines(const struct bk_params *params)
+static struct bake_failure launch_patch(struct bake_compute *compute, struct bake_stream *stream,
+                                        const struct bk_patch *patch, const struct bk_batch *batch,
+                                        uint32_t stage)
 {
-    return min_u32(params->samples, bake_batch_lines(params->samples * bake_sample_cost(params)));
+    struct bake_launch launch = begin_launch(compute, BAKE_PATCH);
+    launch.width = batch->end_column - batch->first_column;
+    launch.height = batch->end_row - batch->first_row;
+    ADD(&launch, compute->triangles);
+    ADD(&launch, *patch);
+    ADD(&launch, *batch);
+    ADD(&launch, stage);
+    ADD(&launch, stream->samples);
+    ADD(&launch, stream->points);
+    ADD(&launch, stream->found);
+    ADD(&launch, stream->texels);
+    stream->launches++;
+    return compute->calls->launch(compute, stream, &launch);
 }
 
-/* Returns how many samples one launch traces of a texel; samples whose hits send rays count as
- * several. */
-static uint64_t launch_samples(const struct bk_params *params)
+/* Traces the rays of `count` viewpoints. */
+static struct bake_failure launch_look(struct bake_compute *compute, struct bake_stream *stream,
+                                       uint32_t count)
 {
-    return (uint64_t)params->samples * launch_lines(params) * bake_sample_cost(params);
+    struct bake_launch launch = begin_launch(compute, BAKE_LOOK);
+    launch.width = bake_ray_count(&compute->params);
+    launch.height = count;
+    for (launch.side = 1; launch.side < launch.width && launch.side < 32;)
+        launch.side *= 2;
+    ADD(&launch, stream->points);
+    ADD(&launch, count);
+    ADD(&launch, stream->found);
+    stream->launches++;
+    return compute->calls->launch(compute, stream, &launch);
+}
+
+static struct bake_failure launch_batch(struct bake_compute *compute, struct bake_stream *stream,
+                                        const struct bk_patch *patch, const struct bk_batch *batch)
+{
+    const uint32_t samples = (batch->end_row - batch->first_row) *
+                             (batch->end_column - batch->first_column) *
+                             (batch->end_line - batch->first_line) * compute->params.samples;
+    if (bake_ray_count(&compute->params) == 0)
+        return launch_patch(compute, stream, patch, batch, BK_ADD);
+    BAKE_TRY_CALL(launch_patch(compute, stream, patch, batch, BK_POINTS));
+    BAKE_TRY_CALL(launch_look(compute, stream, samples));
+    return launch_patch(compute, stream, patch, batch, BK_ADD_FOUND);
 }
 
 static struct bake_failure launch_batches(struct bake_compute *compute, struct bake_stream *stream,
                                           const struct bk_patch *patch)
 {
-    const uint32_t n = compute->params.samples, lines = launch_lines(&compute->params);
-    const uint32_t rows = bake_batch_rows(&stream->sizer, launch_samples(&compute->params),
-                                          patch->width, patch->height);
-    for (uint32_t line = 0; line < n; line += lines)
-        for (uint32_t row = 0; row < patch->height; row += rows) {
-            const struct bake_launch_batch batch = {.first_row = row,
-                                                    .end_row =
-                                                        row + min_u32(rows, patch->height - row),
-                                                    .first_line = line,
-                                                    .end_line = line + min_u32(lines, n - line)};
-            BAKE_TRY_CALL(compute->calls->launch(compute, stream, patch, &batch));
-            stream->launches++;
-        }
+    const struct bk_batch size = bake_first_batch(&compute->params, patch);
+    struct bk_batch batch = size;
+    do {
+        BAKE_TRY_CALL(launch_batch(compute, stream, patch, &batch));
+    } while (bake_next_batch(&compute->params, patch, &size, &batch));
     return BAKE_NO_FAILURE;
 }
 
-static void note_times(struct bake_compute *compute, struct bake_stream *stream, uint64_t samples)
+static void note_times(struct bake_compute *compute, struct bake_stream *stream)
 {
     const struct bake_span *times = stream->times;
-    bake_batch_sizer_learn(&stream->sizer, launch_samples(&compute->params),
-                           samples * bake_sample_cost(&compute->params),
-                           times[BAKE_KERNELS].end - times[BAKE_KERNELS].start);
     pthread_mutex_lock(&compute->lock);
     bake_time_spans_add(&compute->copies, &times[BAKE_SAMPLES]);
     bake_time_spans_add(&compute->kernels, &times[BAKE_KERNELS]);
@@ -297,7 +348,11 @@ static void close_stream(struct bake_compute *compute, struct bake_stream *strea
         compute->calls->release(compute, stream->samples);
     if (stream->texels)
         compute->calls->release(compute, stream->texels);
-    stream->samples = stream->texels = 0;
+    if (stream->points)
+        compute->calls->release(compute, stream->points);
+    if (stream->found)
+        compute->calls->release(compute, stream->found);
+    stream->samples = stream->texels = stream->points = stream->found = 0;
     stream->open = false;
 }
 
@@ -309,6 +364,10 @@ static struct bake_failure open_worker(struct bake_compute *compute, struct bake
         calls->allocate(compute, sample_bytes(compute, compute->patch_texels), &stream->samples));
     BAKE_TRY_CALL(
         calls->allocate(compute, texel_bytes(compute, compute->patch_texels), &stream->texels));
+    if (bake_ray_count(&compute->params) > 0) {
+        BAKE_TRY_CALL(calls->allocate(compute, point_bytes(compute), &stream->points));
+        BAKE_TRY_CALL(calls->allocate(compute, found_bytes(compute), &stream->found));
+    }
     stream->open = true;
     return BAKE_NO_FAILURE;
 }
@@ -320,7 +379,7 @@ static struct bake_failure trace_patch(struct bake_compute *compute, struct bake
 {
     const struct bake_compute_calls *calls = compute->calls;
     const uint64_t texel_count = (uint64_t)patch->width * patch->height;
-    const uint64_t n = compute->params.samples, bytes = sample_bytes(compute, texel_count);
+    const uint64_t bytes = sample_bytes(compute, texel_count);
     if (calls->attach)
         BAKE_TRY_CALL(calls->attach(compute));
     if (!stream->open)
@@ -333,7 +392,7 @@ static struct bake_failure trace_patch(struct bake_compute *compute, struct bake
     BAKE_TRY_CALL(calls->wait(compute, stream, BAKE_TEXELS));
     memcpy(texels, stream->host[0], texel_bytes(compute, texel_count));
     BAKE_TRY_CALL(calls->times(compute, stream));
-    note_times(compute, stream, texel_count * n * n);
+    note_times(compute, stream);
     return BAKE_NO_FAILURE;
 }
 

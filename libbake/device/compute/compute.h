@@ -15,54 +15,22 @@
 /* How much of a patch one kernel launch traces.
  *
  * A device does nothing else during a launch, and desktop drivers abort launches that take seconds.
- * So a launch should take BAKE_BATCH_SECONDS. The cost of a ray depends on the device, the rays'
- * lengths and the grid. Each worker therefore starts with BAKE_BATCH_FIRST samples, measures each
- * patch, and grows at most fourfold from one patch to the next. A patch whose rays cost four times
- * as much as those of the patch before still has launches of at most 0.2 s. A batch has at least
- * one row of the patch and BAKE_BATCH_LEAST samples: less would measure the overhead of a launch.
- *
- * Samples whose hits send rays count as several.
+ * So a launch has at most BAKE_BATCH_SAMPLES samples, and BAKE_BATCH_RAYS rays from their hits: 4
+ * ms on a fast GPU, 0.2 s on a slow one.
  *
  * One thread of the device traces the samples of a texel one after another. Each takes about 30 us
  * on any device, and a texel has up to 4096. If a texel has more than BAKE_BATCH_THREAD samples, a
- * launch takes some lines of the samples of many texels, and later launches continue.
- *
- * A line whose hits send hundreds of rays takes a thread 0.1 s or more, however few threads there
- * are. Smaller launches would not end sooner, only leave most of the device idle. Such a launch may
- * take twice as long as its threads, and a worker starts with at least BAKE_BATCH_TEXELS texels. */
-#define BAKE_BATCH_SECONDS      0.05
-#define BAKE_BATCH_SECONDS_MOST 0.5
+ * launch takes some lines of the samples of many texels, and later launches continue. */
+enum { BAKE_BATCH_SAMPLES = 1 << 17, BAKE_BATCH_THREAD = 1 << 8, BAKE_BATCH_RAYS = 1 << 22 };
 
-enum {
-    BAKE_BATCH_FIRST = 1 << 17,
-    BAKE_BATCH_LEAST = 1 << 14,
-    BAKE_BATCH_THREAD = 1 << 8,
-    BAKE_BATCH_TEXELS = 1 << 10
-};
-
-/* A worker's estimate; zero at first. */
-struct bake_batch_sizer {
-    uint64_t samples; /* in the next launch; 0: as above */
-};
-
-/* What a launch traces: lines first_line to end_line - 1 of the samples of each texel in rows
- * first_row to end_row - 1. */
-struct bake_launch_batch {
-    uint32_t first_row, end_row, first_line, end_line;
-};
-
-/* Returns how many of a texel's n lines of n samples one launch traces: 1 to n. */
-uint32_t bake_batch_lines(uint32_t n);
-
-/* Returns how many rows of a patch one launch traces: 1 to height. width, height: of the patch, in
- * texels; texel_samples: what the launch traces of each texel. */
-uint32_t bake_batch_rows(struct bake_batch_sizer *sizer, uint64_t texel_samples, uint32_t width,
-                         uint32_t height);
-
-/* Learns that `samples` took `seconds` on the device, in launches that trace texel_samples of a
- * texel. */
-void bake_batch_sizer_learn(struct bake_batch_sizer *sizer, uint64_t texel_samples,
-                            uint64_t samples, double seconds);
+/* Returns the most samples of a batch: at least a line of a texel's. */
+uint32_t bake_batch_samples(const struct bk_params *params);
+/* Returns the first batch of a patch, which has the size of all but the last ones. */
+struct bk_batch bake_first_batch(const struct bk_params *params, const struct bk_patch *patch);
+/* Moves a batch to the next samples of a patch: to other lines of the same texels, then to further
+ * columns, then to further rows. Returns false after the last one. */
+bool bake_next_batch(const struct bk_params *params, const struct bk_patch *patch,
+                     const struct bk_batch *first, struct bk_batch *batch);
 
 /* ---- times: launches.c ---- */
 
@@ -106,7 +74,8 @@ struct bake_stream {
     bool open;
     /* Of a worker: samples and texels of its patch on the device. */
     bake_memory samples, texels;
-    struct bake_batch_sizer sizer;
+    /* With rays from hits: viewpoints of a batch, and what their rays found. */
+    bake_memory points, found;
     struct bake_span times[BAKE_STEPS]; /* of its last patch, on the device's clock */
     uint64_t launches;
 };
@@ -125,6 +94,28 @@ struct bake_failure {
         if (failure_.code)                                                                         \
             return failure_;                                                                       \
     } while (0)
+
+/* The kernels of bake.cl. */
+enum { BAKE_PATCH, BAKE_LOOK, BAKE_KERNEL_COUNT };
+extern const char *const bake_kernel_names[BAKE_KERNEL_COUNT];
+
+struct bake_argument {
+    uint64_t bytes;
+    const void *value;
+};
+
+enum { BAKE_ARGUMENTS_MAX = 24 };
+
+/* A launch of a kernel with work items of width x height. An argument that is memory of the device
+ * is a bake_memory. */
+struct bake_launch {
+    int kernel;
+    uint32_t width, height;
+    /* Work items that are side by side in a warp: a power of two, 32 at most; 0: any. */
+    uint32_t side;
+    struct bake_argument arguments[BAKE_ARGUMENTS_MAX];
+    uint32_t count;
+};
 
 struct bake_compute;
 
@@ -153,8 +144,7 @@ struct bake_compute_calls {
                                 const char *from, uint64_t bytes, bake_memory to, uint64_t at,
                                 int step);
     struct bake_failure (*launch)(struct bake_compute *compute, struct bake_stream *stream,
-                                  const struct bk_patch *patch,
-                                  const struct bake_launch_batch *batch);
+                                  const struct bake_launch *launch);
     struct bake_failure (*fetch)(struct bake_compute *compute, struct bake_stream *stream,
                                  uint64_t bytes);
     /* Waits until the last copy with this number is over, asleep; until all steps are. */

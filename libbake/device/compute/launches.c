@@ -1,57 +1,52 @@
-/* launches.c - the size of a launch follows the time that earlier ones took; a list of time spans
- * is merged whenever it is full. */
+/* launches.c - the batches in which a patch is traced; a list of time spans is merged whenever it
+ * is full. */
 #include "libbake/device/compute/compute.h"
 
 #include <string.h>
 
 #include "base/sort_array.h"
 
-enum { MAX_GROWTH = 4 };
+/* ---- launch batches ---- */
 
-/* What a thread takes for a sample of the cost 1: two rays from a hit, which a GPU that is not busy
- * was seen to trace in 300 us. */
-#define THREAD_SECONDS 300e-6
-
-static double launch_seconds(uint64_t texel_samples)
+static uint32_t min_u32(uint32_t a, uint32_t b)
 {
-    const double wanted = 2 * THREAD_SECONDS * (double)texel_samples;
-    if (texel_samples <= BAKE_BATCH_THREAD || wanted < BAKE_BATCH_SECONDS)
-        return BAKE_BATCH_SECONDS;
-    return wanted < BAKE_BATCH_SECONDS_MOST ? wanted : BAKE_BATCH_SECONDS_MOST;
+    return a < b ? a : b;
 }
 
-uint32_t bake_batch_lines(uint32_t n)
+static uint32_t max_u32(uint32_t a, uint32_t b)
 {
-    if (n <= BAKE_BATCH_THREAD / n)
-        return n;
-    return n < BAKE_BATCH_THREAD ? BAKE_BATCH_THREAD / n : 1;
+    return a > b ? a : b;
 }
 
-uint32_t bake_batch_rows(struct bake_batch_sizer *sizer, uint64_t texel_samples, uint32_t width,
-                         uint32_t height)
+uint32_t bake_batch_samples(const struct bk_params *params)
 {
-    const uint64_t row_samples = width * texel_samples, least = BAKE_BATCH_TEXELS * texel_samples;
-    if (!sizer->samples)
-        sizer->samples = least > BAKE_BATCH_FIRST ? least : BAKE_BATCH_FIRST;
-    const uint64_t rows = row_samples ? sizer->samples / row_samples : height;
-    if (rows > height)
-        return height;
-    return rows > 1 ? (uint32_t)rows : 1;
+    const uint32_t rays = bake_ray_count(params);
+    const uint32_t most = rays > 0 ? BAKE_BATCH_RAYS / rays : BAKE_BATCH_SAMPLES;
+    return max_u32(min_u32(most, BAKE_BATCH_SAMPLES), params->samples);
 }
 
-void bake_batch_sizer_learn(struct bake_batch_sizer *sizer, uint64_t texel_samples,
-                            uint64_t samples, double seconds)
+struct bk_batch bake_first_batch(const struct bk_params *params, const struct bk_patch *patch)
 {
-    /* Half of the range, so that sums of two cannot overflow. */
-    const double most = (double)(UINT64_MAX / 2);
-    double limit = (double)sizer->samples * MAX_GROWTH;
-    double wanted =
-        seconds > 0 ? (double)samples * (launch_seconds(texel_samples) / seconds) : limit;
-    if (wanted > limit)
-        wanted = limit;
-    if (wanted > most)
-        wanted = most;
-    sizer->samples = wanted > BAKE_BATCH_LEAST ? (uint64_t)wanted : BAKE_BATCH_LEAST;
+    const uint32_t n = params->samples, most = bake_batch_samples(params);
+    const uint32_t lines = min_u32(n, max_u32(min_u32(BAKE_BATCH_THREAD, most) / n, 1));
+    const uint32_t texels = max_u32(most / (lines * n), 1);
+    return (struct bk_batch){.end_column = min_u32(patch->width, texels),
+                             .end_row = min_u32(patch->height, max_u32(texels / patch->width, 1)),
+                             .end_line = lines};
+}
+
+bool bake_next_batch(const struct bk_params *params, const struct bk_patch *patch,
+                     const struct bk_batch *first, struct bk_batch *batch)
+{
+    batch->first_line = batch->end_line < params->samples ? batch->end_line : 0;
+    if (batch->first_line == 0)
+        batch->first_column = batch->end_column < patch->width ? batch->end_column : 0;
+    if (batch->first_line == 0 && batch->first_column == 0)
+        batch->first_row = batch->end_row;
+    batch->end_line = min_u32(params->samples, batch->first_line + first->end_line);
+    batch->end_column = min_u32(patch->width, batch->first_column + first->end_column);
+    batch->end_row = min_u32(patch->height, batch->first_row + first->end_row);
+    return batch->first_row < patch->height;
 }
 
 /* ---- times ---- */

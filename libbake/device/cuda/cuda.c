@@ -12,11 +12,14 @@
 #include "libbake/device/cuda/cuda.h"
 #include "libbake/device/cuda/cuda_api.h"
 
-/* A warp is 8 x 4 texels: near in the map, so mostly near in the grid. The compiler would take
- * about 168 registers, which allow 12 warps on a multiprocessor; 128 registers allow 16, which hide
- * more of the memory's latency. The registers spilled are used once a ray pair, outside the loops.
+/* A warp is 8 x 4 texels: near in the map, so mostly near in the grid; or 32 rays of a viewpoint.
  */
-enum { REGISTERS = 128, BLOCK_WIDTH = 8, BLOCK_HEIGHT = 16 };
+enum { BLOCK = 128, BLOCK_WIDTH = 8 };
+
+/* Registers of a thread. Fewer of them allow more warps, which hide the memory's latency. The
+ * compiler would take about 183 for a texel, and 133 for a ray; what is spilled is not used in the
+ * innermost loops. Rays were as fast with 72 to 96 registers, and slower with 64 and 128. */
+static const unsigned registers[BAKE_KERNEL_COUNT] = {[BAKE_PATCH] = 128, [BAKE_LOOK] = 80};
 
 /* A stream, and events at the borders of its steps: step i is between events i and i + 1. */
 struct stream {
@@ -31,8 +34,8 @@ struct cuda {
     struct bake_cuda_api api;
     struct bake_cuda_device device;
     CUcontext context;
-    CUmodule module;
-    CUfunction kernel;
+    CUmodule modules[BAKE_KERNEL_COUNT]; /* each is compiled for its own number of registers */
+    CUfunction kernels[BAKE_KERNEL_COUNT];
     CUevent origin; /* zero of the device's clock */
 };
 
@@ -177,27 +180,18 @@ static struct bake_failure cuda_finish(struct bake_compute *compute, struct bake
 }
 
 static struct bake_failure cuda_launch(struct bake_compute *compute, struct bake_stream *stream,
-                                       const struct bk_patch *patch,
-                                       const struct bake_launch_batch *batch)
+                                       const struct bake_launch *launch)
 {
-    struct cuda *cuda = (struct cuda *)compute;
+    const struct cuda *cuda = (const struct cuda *)compute;
     CUstream own = ((struct stream *)stream->own)->stream;
-    CUdeviceptr a[BAKE_GRID_ARRAYS], triangles = compute->triangles;
-    CUdeviceptr samples = stream->samples, texels = stream->texels;
-    struct bk_params params = compute->params;
-    struct bk_patch whole = *patch;
-    struct bake_launch_batch b = *batch;
-    void *arguments[] = {&a[BAKE_TILES],   &a[BAKE_UPPERS], &a[BAKE_LOWERS], &a[BAKE_LEAVES],
-                         &a[BAKE_NORMALS], &a[BAKE_PLANES], &a[BAKE_COLORS], &a[BAKE_SECONDS],
-                         &triangles,       &params,         &whole,          &b.first_row,
-                         &b.end_row,       &b.first_line,   &b.end_line,     &samples,
-                         &texels};
+    const unsigned width = launch->side ? launch->side : BLOCK_WIDTH, height = BLOCK / width;
+    void *arguments[BAKE_ARGUMENTS_MAX];
     CUresult code;
-    for (int i = 0; i < BAKE_GRID_ARRAYS; i++)
-        a[i] = compute->arrays[i];
-    code = cuda->api.cuLaunchKernel(cuda->kernel, (patch->width + BLOCK_WIDTH - 1) / BLOCK_WIDTH,
-                                    (b.end_row - b.first_row + BLOCK_HEIGHT - 1) / BLOCK_HEIGHT, 1,
-                                    BLOCK_WIDTH, BLOCK_HEIGHT, 1, 0, own, arguments, NULL);
+    for (uint32_t i = 0; i < launch->count; i++)
+        arguments[i] = (void *)(uintptr_t)launch->arguments[i].value;
+    code = cuda->api.cuLaunchKernel(
+        cuda->kernels[launch->kernel], (launch->width + width - 1) / width,
+        (launch->height + height - 1) / height, 1, width, height, 1, 0, own, arguments, NULL);
     /* Submits the launch by itself. Drivers of Windows, which WSL uses, collect launches and submit
      * several at once, and Windows ends work that takes seconds. */
     if (code == CUDA_SUCCESS)
@@ -334,18 +328,21 @@ static void describe_refusal(const struct bake_cuda_api *api, CUresult code, con
 
 /* ---- opening and closing ---- */
 
-static int load_kernel(struct cuda *cuda)
+static int load_kernel(struct cuda *cuda, int kernel)
 {
     char log[1024] = "", reason[REASON_BYTES];
+    CUmodule *module = &cuda->modules[kernel];
     int options[] = {CU_JIT_ERROR_LOG_BUFFER, CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES,
                      CU_JIT_MAX_REGISTERS};
-    void *values[] = {log, (void *)(uintptr_t)(sizeof log - 1), (void *)(uintptr_t)REGISTERS};
-    CUresult code = cuda->api.cuModuleLoadDataEx(&cuda->module, bake_cuda_ptx, 3, options, values);
+    void *values[] = {log, (void *)(uintptr_t)(sizeof log - 1),
+                      (void *)(uintptr_t)registers[kernel]};
+    CUresult code = cuda->api.cuModuleLoadDataEx(module, bake_cuda_ptx, 3, options, values);
     if (code != CUDA_SUCCESS) {
         describe_refusal(&cuda->api, code, log, reason);
         return bsq_fail(cuda->compute.ctx, BSQ_ENODEVICE, "%s: %s", cuda->device.name, reason);
     }
-    code = cuda->api.cuModuleGetFunction(&cuda->kernel, cuda->module, "bake_patch");
+    code =
+        cuda->api.cuModuleGetFunction(&cuda->kernels[kernel], *module, bake_kernel_names[kernel]);
     return bake_compute_fail(&cuda->compute, (struct bake_failure){"cuModuleGetFunction", code});
 }
 
@@ -368,7 +365,9 @@ static int prepare(struct cuda *cuda, const struct bake_job *job)
     int status;
     snprintf(compute->base.name, sizeof compute->base.name, "%.110s (CUDA)", cuda->device.name);
     BSQ_TRY(bake_compute_fail(compute, open_context(cuda)));
-    BSQ_TRY(load_kernel(cuda));
+    BSQ_TRY(load_kernel(cuda, BAKE_PATCH));
+    if (bake_ray_count(&job->params) > 0)
+        BSQ_TRY(load_kernel(cuda, BAKE_LOOK));
     BSQ_TRY(bake_compute_fail(compute, free_memory(cuda, &limit)));
     status = bake_compute_prepare(compute, job, limit, UINT64_MAX);
 done:
@@ -383,8 +382,9 @@ static void cuda_close(struct bake_backend *backend)
         bake_compute_unload(&cuda->compute);
         if (cuda->origin)
             cuda->api.cuEventDestroy(cuda->origin);
-        if (cuda->module)
-            cuda->api.cuModuleUnload(cuda->module);
+        for (int i = 0; i < BAKE_KERNEL_COUNT; i++)
+            if (cuda->modules[i])
+                cuda->api.cuModuleUnload(cuda->modules[i]);
         cuda->api.cuCtxSetCurrent(NULL);
         cuda->api.cuDevicePrimaryCtxRelease(cuda->device.device);
     }

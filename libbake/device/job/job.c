@@ -7,7 +7,7 @@
 #include <assert.h>
 
 #include "libbake/kernel/bk_srgb.h"
-#include "libbake/kernel/bk_grid.h"
+#include "libbake/kernel/bk_secondary.h"
 
 _Static_assert(sizeof(struct bk_triangle) == 200, "layout shared with devices");
 _Static_assert(sizeof(struct bk_patch) == 16, "layout shared with devices");
@@ -94,9 +94,11 @@ static void set_offsets(const struct fmt_nvdb_grid *grid, struct bk_params *para
     split(colors + ids, params->channel_offset);
 }
 
-void bake_list_arrays(const struct bake_job *job, struct bake_grid_arrays *out)
+void bake_list_arrays(const struct bake_job *job, const struct bake_tree *tree,
+                      struct bake_grid_arrays *out)
 {
     const struct fmt_nvdb_grid *g = job->grid;
+    const uint64_t leaves = tree->nodes ? g->leaf_count : 0;
     const uint64_t records = g->record_count * sizeof(uint32_t);
     const uint64_t transfers = g->transfer_count * sizeof *g->transfers;
     const bool colors = g->colors || g->ids || g->channels || transfers > 0;
@@ -115,7 +117,9 @@ void bake_list_arrays(const struct bake_job *job, struct bake_grid_arrays *out)
                               {g->colors, g->colors ? records : 0},
                               {g->ids, g->ids ? records : 0},
                               {g->channels, g->channels ? records * g->channel_words : 0}}},
-            [BAKE_SECONDS] = {"second records", {{g->seconds, (g->voxel_count / 32 + 1) * 8}}}}};
+            [BAKE_SECONDS] = {"second records", {{g->seconds, (g->voxel_count / 32 + 1) * 8}}},
+            [BAKE_NODES] = {"tree of leaves", {{tree->nodes, tree->count * sizeof *tree->nodes}}},
+            [BAKE_BLOCKS] = {"blocks of leaves", {{tree->blocks, leaves * sizeof *tree->blocks}}}}};
     set_offsets(g, &out->params);
     for (int i = 0; i < BAKE_GRID_ARRAYS; i++) {
         struct bake_grid_array *array = &out->arrays[i];
@@ -126,88 +130,12 @@ void bake_list_arrays(const struct bake_job *job, struct bake_grid_arrays *out)
     }
 }
 
-/* ---- nodes ---- */
-
-/* Returns the number of child n of a node; its level's first node is `distance` bytes before that
- * of the children's level. */
-static uint32_t child_of(const uint64_t *words, uint64_t node_at, uint32_t mask, uint32_t table,
-                         uint32_t n, uint64_t distance, uint32_t child_words, uint32_t count)
+uint32_t bake_ray_count(const struct bk_params *params)
 {
-    if (!(words[mask + (n >> 6)] >> (n & 63) & 1))
-        return BK_NONE;
-    const uint64_t number = (node_at + words[table + n] - distance) / (child_words * UINT64_C(8));
-    return number < count ? (uint32_t)number : BK_NONE;
-}
-
-static uint32_t upper_lower(const struct fmt_nvdb_grid *grid, uint32_t upper, uint32_t n)
-{
-    const uint64_t at = (uint64_t)upper * BK_UPPER_WORDS * 8;
-    return child_of((const uint64_t *)(const void *)(grid->uppers + at), at, BK_UPPER_CHILD_MASK,
-                    BK_UPPER_TABLE, n, (uint64_t)(grid->lowers - grid->uppers), BK_LOWER_WORDS,
-                    grid->lower_count);
-}
-
-uint32_t bake_lower_leaf(const struct fmt_nvdb_grid *grid, uint32_t lower, uint32_t n)
-{
-    const uint64_t at = (uint64_t)lower * BK_LOWER_WORDS * 8;
-    return child_of((const uint64_t *)(const void *)(grid->lowers + at), at, BK_LOWER_CHILD_MASK,
-                    BK_LOWER_TABLE, n, (uint64_t)(grid->leaves - grid->lowers), BK_LEAF_WORDS,
-                    grid->leaf_count);
-}
-
-static int visit_upper(const struct fmt_nvdb_grid *grid, uint32_t upper, const int32_t origin[3],
-                       bake_node_visit *visit, void *arg)
-{
-    uint32_t first[3], last[3];
-    int status = 0;
-    for (int k = 0; k < 3; k++) {
-        const int64_t a = ((int64_t)grid->index_min[k] - origin[k]) >> BK_LOWER_LOG2;
-        const int64_t b = ((int64_t)grid->index_max[k] - origin[k]) >> BK_LOWER_LOG2;
-        first[k] = a < 0 ? 0 : (uint32_t)a;
-        last[k] = b > 31 ? 31 : (uint32_t)b;
-    }
-    for (uint32_t x = first[0]; x <= last[0]; x++)
-        for (uint32_t y = first[1]; y <= last[1]; y++)
-            for (uint32_t z = first[2]; status == 0 && z <= last[2]; z++) {
-                const uint32_t lower = upper_lower(grid, upper, x << 10 | y << 5 | z);
-                const int32_t at[3] = {origin[0] + (int32_t)(x << BK_LOWER_LOG2),
-                                       origin[1] + (int32_t)(y << BK_LOWER_LOG2),
-                                       origin[2] + (int32_t)(z << BK_LOWER_LOG2)};
-                status = lower == BK_NONE ? 0 : visit(arg, lower, at);
-            }
-    return status;
-}
-
-/* Returns the lowest voxel of a root tile along the axis whose key bits begin at `shift`. */
-static int32_t tile_origin(uint64_t key, uint32_t shift)
-{
-    const uint32_t bits = (uint32_t)(key >> shift) & 0xfffff; /* x >> 12 of a 32-bit x */
-    return (int32_t)(bits << BK_UPPER_LOG2);
-}
-
-int bake_visit_nodes(const struct fmt_nvdb_grid *grid, bake_node_visit *visit, void *arg)
-{
-    const uint64_t *tiles = (const uint64_t *)(const void *)grid->tiles;
-    int status = 0;
-    for (uint32_t i = 0; status == 0 && i < grid->tile_count; i++) {
-        const uint64_t key = tiles[i * BK_TILE_WORDS], child = tiles[i * BK_TILE_WORDS + 1];
-        const uint64_t upper =
-            (child - (uint64_t)(grid->uppers - grid->root)) / (BK_UPPER_WORDS * UINT64_C(8));
-        const int32_t origin[3] = {tile_origin(key, 42), tile_origin(key, 21), tile_origin(key, 0)};
-        bool inside = child != 0 && upper < grid->upper_count;
-        for (int k = 0; k < 3; k++)
-            inside = inside && grid->index_max[k] >= origin[k] &&
-                     grid->index_min[k] <= (int64_t)origin[k] + (1 << BK_UPPER_LOG2) - 1;
-        if (inside)
-            status = visit_upper(grid, (uint32_t)upper, origin, visit, arg);
-    }
-    return status;
+    return bk_ray_count(params);
 }
 
 uint32_t bake_sample_cost(const struct bk_params *params)
 {
-    const uint32_t open = 1u << BK_MAP_ao | 1u << BK_MAP_bent, solid = 1u << BK_MAP_thickness;
-    return 1 + ((params->maps & open ? params->open_rays : 0) +
-                (params->maps & solid ? params->thickness_rays : 0)) /
-                   2;
+    return 1 + bk_ray_count(params) / 2;
 }

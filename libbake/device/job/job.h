@@ -8,6 +8,7 @@
 
 #include "formats/grid/nvdb.h"
 #include "libbake/bake.h"
+#include "libbake/grid_tree/leaf_tree.h"
 #include "libbake/kernel/bk_maps.h"
 
 struct bk_grid;
@@ -47,6 +48,8 @@ enum {
     BAKE_PLANES,
     BAKE_COLORS, /* also ids and channels, and the kernel's tables for them */
     BAKE_SECONDS,
+    BAKE_NODES,
+    BAKE_BLOCKS,
     BAKE_GRID_ARRAYS
 };
 
@@ -69,8 +72,10 @@ struct bake_grid_arrays {
     struct bk_params params; /* the job's, for these arrays */
 };
 
-/* Lists the arrays of a job's grid, which stay valid while its file is open. Allocates nothing. */
-void bake_list_arrays(const struct bake_job *job, struct bake_grid_arrays *out);
+/* Lists the arrays of a job's grid and of the tree around its leaves, which stay valid while both
+ * exist. A tree without nodes is left out. Allocates nothing. */
+void bake_list_arrays(const struct bake_job *job, const struct bake_tree *tree,
+                      struct bake_grid_arrays *out);
 
 /* Rays of a grid with one range of t and one facing rule: of the hits with t in [t_min, t_max] the
  * one that bk_nearest() chooses wins. Surfaces that face the other way are ignored, unless
@@ -88,16 +93,8 @@ struct bake_ray_batch {
     float *channels;
 };
 
-/* ---- nodes of a grid ---- */
-
-/* Calls visit() for each lower node of a grid that overlaps its bounds. origin: the node's lowest
- * voxel. Returns the first result of visit() that is not 0, after which it stops. */
-typedef int bake_node_visit(void *arg, uint32_t lower, const int32_t origin[3]);
-int bake_visit_nodes(const struct fmt_nvdb_grid *grid, bake_node_visit *visit, void *arg);
-
-/* Returns the number of child n of a lower node; BK_NONE if there is none, or if the grid has no
- * such node: the file may change while it is read. */
-uint32_t bake_lower_leaf(const struct fmt_nvdb_grid *grid, uint32_t lower, uint32_t n);
+/* Returns how many rays start at each hit. */
+uint32_t bake_ray_count(const struct bk_params *params);
 
 /* Returns the cost of a sample, secondary rays included, in pairs of primary rays. */
 uint32_t bake_sample_cost(const struct bk_params *params);

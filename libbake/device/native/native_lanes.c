@@ -23,33 +23,6 @@ struct group {
 
 /* ---- secondary rays ---- */
 
-/* Adds up what the rays of a point found, as bk_look_around() does. found: of all its rays, open
- * ones first. */
-static bk_surroundings add_up(const struct bk_params *params, const bk_viewpoint *point,
-                              const float *found)
-{
-    const bk_fw zero = bk_splat(0.0f);
-    const bool directed = params->maps & 1u << BK_MAP_bent;
-    bk_surroundings sums = bk_no_surroundings();
-
-    for (bk_uint open = 2; open-- > 0;) {
-        const bk_rays kind = bk_rays_of(params, open);
-        for (bk_uint first = 0; first < kind.count; first += BK_WIDTH) {
-            const bk_uint left = kind.count - first, count = left < BK_WIDTH ? left : BK_WIDTH;
-            bk_fw t = bk_splat(0.0f);
-            for (bk_uint lane = 0; lane < count; lane++)
-                bk_set_lane(t, lane, found[first + lane]);
-            const bk_vec3w directions =
-                directed ? bk_ray_directions(&kind, point->share, point->normal, first)
-                         : bk_v3w(zero, zero, zero);
-            bk_add_looks(params, &kind, count, t, directions, &sums);
-        }
-        found += kind.count;
-    }
-    bk_end_surroundings(params, &sums);
-    return sums;
-}
-
 /* Traces the samples of a group and the rays from their hits, with the tree of leaves. */
 static void trace_with_tree(struct group *group, bk_map_hits *hits)
 {
@@ -76,7 +49,8 @@ static void trace_with_tree(struct group *group, bk_map_hits *hits)
     for (bk_uint lane = 0; lane < BK_WIDTH; lane++) {
         sums[lane] = bk_no_surroundings();
         if (hits->found >> lane & 1) {
-            sums[lane] = add_up(params, &points[count], memory->results + (uint64_t)count * rays);
+            sums[lane] =
+                bk_add_up(params, &points[count], memory->results + (uint64_t)count * rays);
             count++;
         }
     }

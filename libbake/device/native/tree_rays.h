@@ -8,8 +8,8 @@
 #include <stddef.h>
 
 #include "base/simd/simd.h"
-#include "libbake/device/native/leaf_tree.h"
-#include "libbake/kernel/bk_secondary.h"
+#include "libbake/grid_tree/leaf_tree.h"
+#include "libbake/kernel/bk_visit.h"
 
 enum {
     BAKE_TREE_BUNDLE = 64, /* rays that go through the upper nodes together */

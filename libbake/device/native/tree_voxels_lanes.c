@@ -1,17 +1,8 @@
 /* tree_voxels_lanes.c - tests secondary rays against the voxels of blocks, and their records.
  *
- *  - A ray visits the voxels of a block that it enters before it leaves them. The t of borders are
- *    computed as in bk_walk_blocks(), so both visit the same voxels. Of borders at the same t, that
- *    of the lower axis is crossed first.
- *  - The records of a voxel are tested with the state that a walk has after the previous voxel on
- *    the ray. That state follows from the records of the previous voxel alone. A surface may also
- *    be crossed after a voxel, if the next one is empty.
- *  - Near voxels whose surface faces away from a ray into the solid only end runs, which the
- *    voxels before them see. So they are not tested.
- *  - Voxels far along a ray end it without their records, see bk_meet_voxels().
- *
- * Voxels are not visited in the order in which rays meet them. If distances matter, the hit counts
- * whose voxel is entered first. */
+ * bk_visit.h says which voxels a ray visits, and how their records are tested. Voxels far along a
+ * ray end it without their records, see bk_meet_voxels(). Voxels are not visited in the order in
+ * which rays meet them. If distances matter, the hit counts whose voxel is entered first. */
 #include <stddef.h>
 #include <string.h>
 
@@ -23,19 +14,11 @@ enum { BLOCK_VOXELS = 64 };
 
 /* ---- voxels ---- */
 
-/* Rays and the voxels they visit, in lanes. */
+/* Visits of the pairs of a ray and a voxel, and which voxels of their rays still count. */
 struct group {
-    bk_ray ray;
-    bk_iw first[3]; /* voxels in which walks begin */
-    bk_fw t_begin, t_before, t_end, t_stop;
+    bk_visits visits;
+    bk_fw t_before, t_stop;
     bk_iw stop_axis;
-    bk_cursor cursor; /* the voxels */
-    bk_ulong values[BK_WIDTH];
-    /* How rays enter their voxels: t, and the axis of the border; -1: walks begin here. */
-    bk_fw t_event;
-    bk_iw axis;
-    bk_fw t_exit; /* how they leave them */
-    bk_iw exit_axis;
 };
 
 /* Where leaves are, and their numbers in the grid. */
@@ -67,188 +50,46 @@ static void load_group(const struct bake_tree_tracer *tracer, uint32_t first, ui
     uint32_t blocks[BK_WIDTH];
     bk_int inside[BK_WIDTH];
     struct leaves leaves;
+    bk_visits *visits = &group->visits;
+    bk_ray *to = &visits->ray;
     bk_fw row[4];
     for (uint32_t lane = 0; lane < BK_WIDTH; lane++) {
         const uint32_t pair = first + (lane < count ? lane : 0), block = stream->voxel_block[pair];
         rays[lane] = &stream->rays[stream->voxel_ray[pair]];
         blocks[lane] = block;
         inside[lane] = (bk_int)((block % BAKE_TREE_WIDTH) << 6 | stream->voxel[pair]);
-        group->values[lane] = stream->voxel_value[pair];
+        visits->values[lane] = stream->voxel_value[pair];
     }
     load_leaves(tracer->tree, blocks, &leaves);
     const bk_iw v = bk_load_lanes(inside);
-    group->cursor.x = leaves.corner[0] | (v >> 6 & 4) | (v >> 4 & 3);
-    group->cursor.y = leaves.corner[1] | (v >> 5 & 4) | (v >> 2 & 3);
-    group->cursor.z = leaves.corner[2] | (v >> 4 & 4) | (v & 3);
-    group->cursor.leaf = leaves.number;
-    group->cursor.mask = bk_splati(0);
+    visits->cursor.x = leaves.corner[0] | (v >> 6 & 4) | (v >> 4 & 3);
+    visits->cursor.y = leaves.corner[1] | (v >> 5 & 4) | (v >> 2 & 3);
+    visits->cursor.z = leaves.corner[2] | (v >> 4 & 4) | (v & 3);
+    visits->cursor.leaf = leaves.number;
+    visits->cursor.mask = bk_splati(0);
     floats_load_rows(rays, offsetof(struct bake_tree_ray, inverse), row);
-    group->ray.inverse = bk_v3w(row[0], row[1], row[2]);
+    to->inverse = bk_v3w(row[0], row[1], row[2]);
     group->t_before = row[3];
     floats_load_rows(rays, offsetof(struct bake_tree_ray, start), row);
-    group->ray.start = bk_v3w(row[0], row[1], row[2]);
+    to->start = bk_v3w(row[0], row[1], row[2]);
     const bk_fw side = row[3];
     floats_load_rows(rays, offsetof(struct bake_tree_ray, base), row);
-    group->ray.bx = (bk_iw)row[0];
-    group->ray.by = (bk_iw)row[1];
-    group->ray.bz = (bk_iw)row[2];
-    group->t_begin = row[3];
+    to->bx = (bk_iw)row[0];
+    to->by = (bk_iw)row[1];
+    to->bz = (bk_iw)row[2];
+    visits->t_begin = row[3];
     floats_load_rows(rays, offsetof(struct bake_tree_ray, first), row);
-    for (int axis = 0; axis < 3; axis++)
-        group->first[axis] = (bk_iw)row[axis];
+    visits->first_x = (bk_iw)row[0];
+    visits->first_y = (bk_iw)row[1];
+    visits->first_z = (bk_iw)row[2];
     group->t_stop = row[3];
     floats_load_rows(rays, offsetof(struct bake_tree_ray, direction), row);
-    group->ray.direction = bk_v3w(row[0], row[1], row[2]);
-    group->ray.facing = bk_scalew(group->ray.direction, side);
+    to->direction = bk_v3w(row[0], row[1], row[2]);
+    to->facing = bk_scalew(to->direction, side);
     group->stop_axis = (bk_iw)row[3];
     floats_load_rows(rays, offsetof(struct bake_tree_ray, margin), row);
-    group->t_end = row[3];
-    group->ray.valid = bk_mask_of((1u << count) - 1u);
-}
-
-/* Returns the t at which rays enter layer v of an axis; -BK_FAR: their walks begin in it. */
-static bk_fw entered(bk_iw v, bk_iw first, bk_iw base, bk_fw start, bk_fw inverse)
-{
-    const bk_fw t = bk_border(v + (1 & ~bk_upwards(inverse)), base, start, inverse);
-    return bk_select(v != first, t, bk_splat(-BK_FAR));
-}
-
-/* Finds how rays enter voxels: across the last of the borders of the three axes. */
-static bk_fw find_entry(const struct group *group, const bk_cursor *cursor, bk_iw *axis)
-{
-    const bk_ray *ray = &group->ray;
-    const bk_fw tx = entered(cursor->x, group->first[0], ray->bx, ray->start.x, ray->inverse.x);
-    const bk_fw ty = entered(cursor->y, group->first[1], ray->by, ray->start.y, ray->inverse.y);
-    const bk_fw tz = entered(cursor->z, group->first[2], ray->bz, ray->start.z, ray->inverse.z);
-    const bk_fw xy = bk_maxw(tx, ty), t = bk_maxw(xy, tz);
-    const bk_iw last = bk_selecti(bk_less(ty, tx), bk_splati(0), bk_splati(1));
-    *axis = bk_selecti(bk_less(tz, xy), last, bk_splati(2));
-    *axis = bk_selecti(bk_less(bk_splat(-BK_FAR), t), *axis, bk_splati(-1));
-    return t;
-}
-
-/* Finds how rays leave voxels: across the first border. */
-static bk_fw find_exit(const bk_ray *ray, const bk_cursor *cursor, bk_iw *axis)
-{
-    const bk_iw x = bk_exit_layer(cursor->x, cursor->mask, bk_upwards(ray->inverse.x));
-    const bk_iw y = bk_exit_layer(cursor->y, cursor->mask, bk_upwards(ray->inverse.y));
-    const bk_iw z = bk_exit_layer(cursor->z, cursor->mask, bk_upwards(ray->inverse.z));
-    const bk_fw tx = bk_border(x, ray->bx, ray->start.x, ray->inverse.x);
-    const bk_fw ty = bk_border(y, ray->by, ray->start.y, ray->inverse.y);
-    const bk_fw tz = bk_border(z, ray->bz, ray->start.z, ray->inverse.z);
-    const bk_fw xy = bk_minw(tx, ty);
-    const bk_iw first = bk_selecti(bk_less(ty, tx), bk_splati(1), bk_splati(0));
-    *axis = bk_selecti(bk_less(tz, xy), bk_splati(2), first);
-    return bk_minw(xy, tz);
-}
-
-/* Returns whether a border is crossed before another one. */
-static bk_mask comes_before(bk_fw t, bk_iw axis, bk_fw t_other, bk_iw other)
-{
-    return bk_less(t, t_other) | ((t == t_other) & (axis < other));
-}
-
-/* Returns the neighbours of voxels along an axis, in the direction of rays or, if `back`, against
- * it.
- */
-static bk_cursor beside(const bk_ray *ray, const bk_cursor *cursor, bk_iw axis, bool back)
-{
-    const bk_iw sign = bk_splati(back ? 1 : -1), none = bk_splati(0);
-    bk_cursor next = *cursor;
-    next.x = cursor->x + bk_selecti(axis == 0, sign * (bk_upwards(ray->inverse.x) | 1), none);
-    next.y = cursor->y + bk_selecti(axis == 1, sign * (bk_upwards(ray->inverse.y) | 1), none);
-    next.z = cursor->z + bk_selecti(axis == 2, sign * (bk_upwards(ray->inverse.z) | 1), none);
-    return next;
-}
-
-/* Finds voxels beside those of a group. Returns the lanes whose voxel is occupied, and sets their
- * leaves. */
-static bk_uint find_voxels(struct bake_tree_tracer *tracer, const struct group *group,
-                           bk_uint lanes, bk_cursor *cursor)
-{
-    const bk_iw apart = (cursor->x ^ group->cursor.x) | (cursor->y ^ group->cursor.y) |
-                        (cursor->z ^ group->cursor.z);
-    const bk_uint inside = lanes & bk_bits((apart & ~7) == 0);
-    bk_uint found = inside ? bk_find_occupied(tracer->grid, inside, cursor) : 0;
-    bk_int leaves[BK_WIDTH];
-    lanes &= ~inside;
-    if (lanes == 0)
-        return found;
-    bk_store_lanes(leaves, cursor->leaf);
-    for (; lanes; lanes &= lanes - 1) {
-        const bk_uint lane = bk_first(lanes);
-        const bk_int x = bk_lane(cursor->x, lane), y = bk_lane(cursor->y, lane);
-        const bk_int z = bk_lane(cursor->z, lane);
-        if (bk_locate(tracer->grid, &tracer->cache, x, y, z) == 0 &&
-            bk_leaf_value(tracer->grid, tracer->cache.leaf, x, y, z) != 0) {
-            leaves[lane] = (bk_int)tracer->cache.leaf;
-            found |= 1u << lane;
-        }
-    }
-    cursor->leaf = bk_load_lanes(leaves);
-    return found;
-}
-
-/* Returns the lanes in which a record with one of these value indices faces along the ray. */
-static bk_uint find_facing(const bk_grid *grid, bk_uint lanes, const bk_ulong values[BK_WIDTH],
-                           bk_vec3w facing)
-{
-    const bk_fw zero = bk_splat(0.0f);
-    bk_uint seconds, none;
-    bk_record record;
-    bk_load_records(grid, lanes, values, 0, &record, &seconds);
-    const bk_uint first = lanes & bk_bits(bk_less(zero, bk_dotw(record.normal, facing)));
-    seconds &= ~first;
-    if (seconds == 0)
-        return first;
-    seconds = bk_load_records(grid, seconds, values, 1, &record, &none);
-    return first | (seconds & bk_bits(bk_less(zero, bk_dotw(record.normal, facing))));
-}
-
-/* Sets the state of walks to the one after the previous voxels on the rays. */
-static void recall(struct bake_tree_tracer *tracer, const struct group *group, bk_uint lanes,
-                   bk_walk *walk)
-{
-    bk_cursor before = beside(&group->ray, &group->cursor, group->axis, true);
-    bk_ulong values[BK_WIDTH];
-    bk_iw axis;
-    lanes = find_voxels(tracer, group, lanes & bk_bits(group->axis >= 0), &before);
-    if (lanes == 0)
-        return;
-    const bk_fw t = bk_maxw(group->t_begin, find_entry(group, &before, &axis));
-    bk_rank_voxels(tracer->grid, lanes, &before, values);
-    bk_cross_voxels(tracer->grid, walk, &group->ray, lanes, values, &before, t,
-                    bk_minw(bk_maxw(t, group->t_event), walk->t_limit));
-    walk->hit = bk_no_crossing();
-}
-
-/* Tests the records of the voxels of a group, in which rays are from t on. */
-static void meet_voxels(struct bake_tree_tracer *tracer, const struct group *group, bk_uint lanes,
-                        bk_fw t, bk_walk *walk)
-{
-    const bk_fw t_out = bk_maxw(t, group->t_exit);
-    bk_uint over, below;
-    bk_cursor next;
-    recall(tracer, group, lanes, walk);
-    over = bk_bits(bk_meet_records(tracer->grid, &group->ray, walk, lanes, group->values,
-                                   &group->cursor, t, t_out));
-    if (over)
-        bk_end_run(walk, bk_mask_of(over));
-    below = lanes & bk_bits((walk->side == BK_BELOW) & bk_not(walk->hit.found));
-    if (below == 0)
-        return;
-    /* A run that goes on is left to the next voxel. One whose surface faces away ends it, and is
-     * not tested if it is near. */
-    next = beside(&group->ray, &group->cursor, group->exit_axis, false);
-    bk_uint on = find_voxels(tracer, group, below & bk_bits(bk_less(t_out, group->t_end)), &next);
-    const bk_uint near =
-        tracer->kind->open ? 0 : on & bk_bits(bk_less(t_out, bk_splat(tracer->params->coarse)));
-    if (near) {
-        bk_ulong values[BK_WIDTH];
-        bk_rank_voxels(tracer->grid, near, &next, values);
-        on ^= near ^ find_facing(tracer->grid, near, values, group->ray.facing);
-    }
-    bk_end_run(walk, bk_mask_of(below & ~on));
+    visits->t_end = row[3];
+    to->valid = bk_mask_of((1u << count) - 1u);
 }
 
 /* Notes that a ray is hidden, if distances do not matter. */
@@ -293,8 +134,8 @@ static void drop_averted(struct bake_tree_tracer *tracer)
         floats_load_rows(rays, offsetof(struct bake_tree_ray, start), start);
         floats_load_rows(rays, offsetof(struct bake_tree_ray, direction), direction);
         const bk_vec3w along = bk_v3w(direction[0], direction[1], direction[2]);
-        for (bk_uint lanes =
-                 find_facing(tracer->grid, (1u << count) - 1u, values, bk_scalew(along, start[3]));
+        for (bk_uint lanes = bk_find_facing(tracer->grid, (1u << count) - 1u, values,
+                                            bk_scalew(along, start[3]));
              lanes; lanes &= lanes - 1) {
             const uint32_t at = first + bk_first(lanes);
             stream->voxel[kept] = stream->voxel[at];
@@ -309,19 +150,20 @@ static void drop_averted(struct bake_tree_tracer *tracer)
 static void test_voxels(struct bake_tree_tracer *tracer)
 {
     struct group group;
+    bk_visits *visits = &group.visits;
     bk_walk walk;
     if (!tracer->kind->open && tracer->section.end + BAKE_TREE_BLOCK_MOST <= tracer->params->coarse)
         drop_averted(tracer);
     for (uint32_t first = 0; first < tracer->voxels; first += BK_WIDTH) {
         const uint32_t left = tracer->voxels - first;
         load_group(tracer, first, left < BK_WIDTH ? left : BK_WIDTH, &group);
-        group.t_event = find_entry(&group, &group.cursor, &group.axis);
-        group.t_exit = find_exit(&group.ray, &group.cursor, &group.exit_axis);
-        const bk_uint lanes =
-            bk_bits(group.ray.valid & bk_less(group.t_event, group.t_before) &
-                    comes_before(group.t_event, group.axis, group.t_exit, group.exit_axis) &
-                    comes_before(group.t_event, group.axis, group.t_stop, group.stop_axis));
-        const bk_fw t = bk_maxw(group.t_begin, group.t_event);
+        visits->t_event = bk_find_entry(visits, &visits->cursor, &visits->axis);
+        visits->t_exit = bk_find_exit(&visits->ray, &visits->cursor, &visits->exit_axis);
+        const bk_uint lanes = bk_bits(
+            visits->ray.valid & bk_less(visits->t_event, group.t_before) &
+            bk_comes_before(visits->t_event, visits->axis, visits->t_exit, visits->exit_axis) &
+            bk_comes_before(visits->t_event, visits->axis, group.t_stop, group.stop_axis));
+        const bk_fw t = bk_maxw(visits->t_begin, visits->t_event);
         const bk_uint coarse =
             lanes & bk_bits(bk_not(bk_less(t, bk_splat(tracer->params->coarse))));
         if (lanes == 0)
@@ -331,13 +173,14 @@ static void test_voxels(struct bake_tree_tracer *tracer)
         walk.two_sided = bk_mask_of(tracer->kind->open ? ~0u : 0u);
         bk_clear_walk(&walk);
         if (lanes & ~coarse)
-            meet_voxels(tracer, &group, lanes & ~coarse, t, &walk);
+            bk_meet_visits(tracer->grid, tracer->params, &tracer->cache, visits, tracer->kind->open,
+                           lanes & ~coarse, t, &walk);
         if (coarse)
             bk_stop(&walk, bk_mask_of(coarse), t);
         for (bk_uint found = bk_bits(walk.hit.found) & lanes; found; found &= found - 1) {
             const bk_uint lane = bk_first(found);
             note_hit(tracer, tracer->stream->voxel_ray[first + lane], bk_lane(walk.hit.t, lane),
-                     bk_lane(group.t_event, lane), bk_lane(group.axis, lane));
+                     bk_lane(visits->t_event, lane), bk_lane(visits->axis, lane));
         }
     }
     tracer->voxels = 0;

@@ -16,10 +16,10 @@ enum { LAST_KERNEL = BAKE_STEPS, EVENTS };
 
 struct stream {
     cl_command_queue queue;
-    cl_kernel kernel;
-    /* Sides of a work group; one for all patches, as some drivers compile for each. */
-    size_t group[2];
-    cl_mem pinned[2]; /* the host memory, mapped */
+    cl_kernel kernels[BAKE_KERNEL_COUNT];
+    uint64_t launches;              /* of the patch */
+    size_t most[BAKE_KERNEL_COUNT]; /* work items of a group */
+    cl_mem pinned[2];               /* the host memory, mapped */
     cl_event events[EVENTS];
 };
 
@@ -90,8 +90,9 @@ static void opencl_close_stream(struct bake_compute *compute, struct bake_stream
             api->clReleaseMemObject(own->pinned[i]);
         stream->host[i] = NULL;
     }
-    if (own->kernel)
-        api->clReleaseKernel(own->kernel);
+    for (int i = 0; i < BAKE_KERNEL_COUNT; i++)
+        if (own->kernels[i])
+            api->clReleaseKernel(own->kernels[i]);
     if (own->queue) {
         api->clFinish(own->queue);
         api->clReleaseCommandQueue(own->queue);
@@ -119,17 +120,17 @@ static struct bake_failure opencl_open_stream(struct bake_compute *compute,
 {
     struct opencl *cl = (struct opencl *)compute;
     struct stream *own = stream->own;
-    size_t most = 0;
     cl_int code;
     own->queue =
         cl->api.clCreateCommandQueue(cl->context, cl->device.id, CL_QUEUE_PROFILING_ENABLE, &code);
     CHECK("clCreateCommandQueue", code);
-    own->kernel = cl->api.clCreateKernel(cl->program, "bake_patch", &code);
-    CHECK("clCreateKernel", code);
-    /* A kernel with many registers may allow fewer work items than the device. */
-    CALL(clGetKernelWorkGroupInfo, own->kernel, cl->device.id, CL_KERNEL_WORK_GROUP_SIZE,
-         sizeof most, &most, NULL);
-    bake_opencl_group(most, cl->device.group_sides, own->group);
+    for (int i = 0; i < BAKE_KERNEL_COUNT; i++) {
+        own->kernels[i] = cl->api.clCreateKernel(cl->program, bake_kernel_names[i], &code);
+        CHECK("clCreateKernel", code);
+        /* A kernel with many registers may allow fewer work items than the device. */
+        CALL(clGetKernelWorkGroupInfo, own->kernels[i], cl->device.id, CL_KERNEL_WORK_GROUP_SIZE,
+             sizeof own->most[i], &own->most[i], NULL);
+    }
     for (unsigned i = 0; i < stream->host_count; i++)
         BAKE_TRY_CALL(open_host(cl, stream, i));
     return BAKE_NO_FAILURE;
@@ -150,6 +151,7 @@ static struct bake_failure opencl_send(struct bake_compute *compute, struct bake
 {
     struct opencl *cl = (struct opencl *)compute;
     struct stream *own = stream->own;
+    own->launches = 0;
     CALL(clEnqueueWriteBuffer, own->queue, buffer_of(to), CL_FALSE, at, bytes, from, 0, NULL,
          fresh_event(cl, own, step));
     CALL(clFlush, own->queue);
@@ -185,37 +187,22 @@ static struct bake_failure opencl_finish(struct bake_compute *compute, struct ba
 }
 
 static struct bake_failure opencl_launch(struct bake_compute *compute, struct bake_stream *stream,
-                                         const struct bk_patch *patch,
-                                         const struct bake_launch_batch *batch)
+                                         const struct bake_launch *launch)
 {
-    struct opencl *cl = (struct opencl *)compute;
+    const struct opencl *cl = (const struct opencl *)compute;
     struct stream *own = stream->own;
-    const cl_mem triangles = buffer_of(compute->triangles);
-    const cl_mem samples = buffer_of(stream->samples), texels = buffer_of(stream->texels);
-    const struct {
-        size_t bytes;
-        const void *value;
-    } arguments[] = {{sizeof(cl_mem), &triangles},
-                     {sizeof compute->params, &compute->params},
-                     {sizeof *patch, patch},
-                     {sizeof batch->first_row, &batch->first_row},
-                     {sizeof batch->end_row, &batch->end_row},
-                     {sizeof batch->first_line, &batch->first_line},
-                     {sizeof batch->end_line, &batch->end_line},
-                     {sizeof(cl_mem), &samples},
-                     {sizeof(cl_mem), &texels}};
-    const size_t size[2] = {bsq_align_up(patch->width, own->group[0]),
-                            bsq_align_up(batch->end_row - batch->first_row, own->group[1])};
-    const bool first = batch->first_row == 0 && batch->first_line == 0;
-    cl_uint argument = 0;
-    for (; argument < BAKE_GRID_ARRAYS; argument++) {
-        const cl_mem array = buffer_of(compute->arrays[argument]);
-        CALL(clSetKernelArg, own->kernel, argument, sizeof(cl_mem), &array);
-    }
-    for (size_t i = 0; i < sizeof arguments / sizeof *arguments; i++)
-        CALL(clSetKernelArg, own->kernel, argument++, arguments[i].bytes, arguments[i].value);
-    CALL(clEnqueueNDRangeKernel, own->queue, own->kernel, 2, NULL, size, own->group, 0, NULL,
-         fresh_event(cl, own, first ? BAKE_KERNELS : LAST_KERNEL));
+    cl_kernel kernel = own->kernels[launch->kernel];
+    const int event = own->launches++ == 0 ? BAKE_KERNELS : LAST_KERNEL;
+    size_t group[2];
+    bake_opencl_group(own->most[launch->kernel], cl->device.group_sides, launch->side, group);
+    const size_t size[2] = {bsq_align_up(launch->width, group[0]),
+                            bsq_align_up(launch->height, group[1])};
+    _Static_assert(sizeof(cl_mem) == sizeof(bake_memory),
+                   "a buffer's bits are those of its number");
+    for (uint32_t i = 0; i < launch->count; i++)
+        CALL(clSetKernelArg, kernel, i, launch->arguments[i].bytes, launch->arguments[i].value);
+    CALL(clEnqueueNDRangeKernel, own->queue, kernel, 2, NULL, size, group, 0, NULL,
+         fresh_event(cl, own, event));
     CALL(clFlush, own->queue);
     return BAKE_NO_FAILURE;
 }

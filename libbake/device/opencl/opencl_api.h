@@ -62,8 +62,10 @@ struct bake_opencl_device {
     size_t group_sides[2];               /* limits for a work group */
 };
 
-/* Chooses the sides of a work group: powers of two, 8 x 8 unless kernel or device allow less. */
-void bake_opencl_group(size_t most_items, const size_t most_sides[2], size_t sides[2]);
+/* Chooses the sides of a work group: powers of two, 64 items unless kernel or device allow less.
+ * width: of the group; 0: 8. One for all launches of a kernel, as some drivers compile for each. */
+void bake_opencl_group(size_t most_items, const size_t most_sides[2], size_t width,
+                       size_t sides[2]);
 
 /* Describes device number `index`: platforms in the loader's order, devices in the platform's.
  * Skips devices that are unavailable, big-endian or without a compiler. Returns false if there are

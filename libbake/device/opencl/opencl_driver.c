@@ -120,9 +120,10 @@ static void describe(const struct bake_opencl_api *api, cl_platform_id platform,
     describe_groups(api, out);
 }
 
-void bake_opencl_group(size_t most_items, const size_t most_sides[2], size_t sides[2])
+void bake_opencl_group(size_t most_items, const size_t most_sides[2], size_t width, size_t sides[2])
 {
-    sides[0] = sides[1] = 8;
+    sides[0] = width ? width : 8;
+    sides[1] = 64 / sides[0];
     for (int i = 0; i < 2; i++)
         while (sides[i] > 1 && sides[i] > most_sides[i])
             sides[i] /= 2;

@@ -108,17 +108,50 @@ static int teardown(void **state)
     return 0;
 }
 
+/* Traces the rays from a viewpoint through the grid's nodes. */
+static void look_around(const struct fixture *f, const struct bk_params *params,
+                        const bk_viewpoint *from, float *found)
+{
+    bk_cache cache = bk_cache_empty();
+    for (uint32_t open = from->side != 0 ? 2 : 0; open-- > 0;) {
+        const bk_rays rays = bk_rays_of(params, open);
+        for (uint32_t i = 0; i < rays.count; i++)
+            *found++ =
+                bk_look(&f->grid, params, &cache, &rays, bk_splat3(bk_ray_start(&rays, from)),
+                        bk_ray_directions(&rays, from->share, from->normal, i), from->side, 1);
+    }
+}
+
+/* Traces a texel as GPUs do: viewpoints, the rays from them, and what these found. */
+static void trace_texel(const struct fixture *f, const struct bk_params *params,
+                        const struct bk_patch *patch, uint32_t column, uint32_t row, float *texel)
+{
+    static bk_viewpoint points[SAMPLES * SAMPLES];
+    static float found[SAMPLES * SAMPLES * RAYS];
+    const uint32_t rays = bk_ray_count(params);
+    const bk_batch batch = {row, row + 1, column, column + 1, 0, params->samples};
+    bk_looks looks = {rays > 0 ? BK_POINTS : BK_ADD, points, found};
+    bk_cache cache = bk_cache_empty();
+    assert_true(rays <= RAYS && params->samples <= SAMPLES);
+    bk_clear_texel(params->maps, texel);
+    bk_sample_texel(&f->grid, params, &cache, f->triangles, patch, &batch, f->samples, column, row,
+                    &looks, texel);
+    if (rays == 0)
+        return;
+    for (uint32_t i = 0; i < params->samples * params->samples; i++)
+        look_around(f, params, &points[i], &found[i * rays]);
+    looks.stage = BK_ADD_FOUND;
+    bk_sample_texel(&f->grid, params, &cache, f->triangles, patch, &batch, f->samples, column, row,
+                    &looks, texel);
+}
+
 static void one_by_one(const struct fixture *f, const struct bk_params *params,
                        const struct bk_patch *patch, float *texels)
 {
-    bk_cache cache = bk_cache_empty();
     for (uint32_t row = 0; row < HEIGHT; row++)
-        for (uint32_t column = 0; column < WIDTH; column++) {
-            float *texel = texels + (row * WIDTH + column) * bk_texel_floats(params->maps);
-            bk_clear_texel(params->maps, texel);
-            bk_sample_texel(&f->grid, params, &cache, f->triangles, patch, f->samples, column, row,
-                            0, params->samples, texel);
-        }
+        for (uint32_t column = 0; column < WIDTH; column++)
+            trace_texel(f, params, patch, column, row,
+                        texels + (row * WIDTH + column) * bk_texel_floats(params->maps));
 }
 
 /* Compares patches that are traced with the widest lanes to be had and with all narrower ones.

@@ -1,64 +1,71 @@
-/* test_launches.c - launch batches follow measured times; unions of time spans. */
+/* test_launches.c - batches have all samples of a patch; unions of time spans. */
 #include "libbake/device/compute/compute.h"
 #include "libbake/device/job/job.h"
 #include "tests/unit/test.h"
 
-TEST(test_batches_follow)
+enum { WIDTH = 40, HEIGHT = 24 };
+
+/* Traces the batches of a patch: counts the samples of each texel, in the order of their lines.
+ * Returns the number of batches. */
+static uint32_t trace_batches(const struct bk_params *params, const struct bk_patch *patch)
 {
-    struct bake_batch_sizer sizer = {0};
-    (void)state;
-    assert_int_equal(bake_batch_rows(&sizer, 16, 64, 256), BAKE_BATCH_FIRST / 1024);
-    assert_int_equal(bake_batch_rows(&sizer, 16, 64, 64), 64);
-    assert_int_equal(bake_batch_rows(&sizer, BAKE_BATCH_FIRST, 10, 64), 1);
-    /* A fast device: fourfold, not more. */
-    bake_batch_sizer_learn(&sizer, 16, 1 << 17, 1e-4);
-    assert_int_equal(sizer.samples, 4 * BAKE_BATCH_FIRST);
-    /* A slow device, 10^6 samples a second: at once. */
-    bake_batch_sizer_learn(&sizer, 16, 1000000, 1.0);
-    assert_int_equal(sizer.samples, 1000000 * BAKE_BATCH_SECONDS);
-    assert_int_equal(bake_batch_rows(&sizer, 10, 100, 256), 50);
-    /* A clock that stands still, and one that is far off. */
-    bake_batch_sizer_learn(&sizer, 16, 1000000, 0.0);
-    assert_int_equal(sizer.samples, 4 * 50000);
-    bake_batch_sizer_learn(&sizer, 16, 1, 1e9);
-    assert_int_equal(sizer.samples, BAKE_BATCH_LEAST);
-    for (int i = 0; i < 100; i++)
-        bake_batch_sizer_learn(&sizer, 16, UINT64_MAX, 0.0);
-    assert_int_equal(bake_batch_rows(&sizer, 1, 1, UINT32_MAX), UINT32_MAX);
+    static uint32_t lines[HEIGHT][WIDTH];
+    const struct bk_batch first = bake_first_batch(params, patch);
+    struct bk_batch batch = first;
+    uint32_t count = 0;
+    memset(lines, 0, sizeof lines);
+    do {
+        const uint64_t samples = (uint64_t)(batch.end_row - batch.first_row) *
+                                 (batch.end_column - batch.first_column) *
+                                 (batch.end_line - batch.first_line) * params->samples;
+        assert_in_range(samples, 1, bake_batch_samples(params));
+        assert_true(params->samples > BAKE_BATCH_THREAD ||
+                    (batch.end_line - batch.first_line) * params->samples <= BAKE_BATCH_THREAD);
+        for (uint32_t y = batch.first_row; y < batch.end_row; y++)
+            for (uint32_t x = batch.first_column; x < batch.end_column; x++) {
+                assert_int_equal(lines[y][x], batch.first_line);
+                lines[y][x] = batch.end_line;
+            }
+        count++;
+    } while (bake_next_batch(params, patch, &first, &batch));
+    for (uint32_t y = 0; y < patch->height; y++)
+        for (uint32_t x = 0; x < patch->width; x++)
+            assert_int_equal(lines[y][x], params->samples);
+    return count;
 }
 
-/* A device whose threads take 0.15 s for a launch of any size up to 100,000 texels: launches grow
- * until they are whole patches. A slow one, where more texels take longer, keeps to half a second.
- */
-TEST(test_batches_of_slow_threads)
+/* The batches of a patch have all of its samples once, whatever the numbers of samples and rays;
+ * the lines of a texel follow each other. */
+TEST(test_batches_have_all_samples)
 {
-    enum { SAMPLES = 512, WIDTH = 64, HEIGHT = 64 };
-    struct bake_batch_sizer fast = {0}, slow = {0};
-    uint32_t rows = 0;
+    static const uint32_t rays[] = {0, 1, 16, 100, 4096};
+    const struct bk_patch patches[] = {{0, 0, WIDTH, HEIGHT}, {8, 8, 1, HEIGHT}, {0, 0, WIDTH, 1}};
     (void)state;
-    assert_int_equal(bake_batch_rows(&fast, SAMPLES, WIDTH, HEIGHT), BAKE_BATCH_TEXELS / WIDTH);
-    for (int i = 0; i < 4; i++) {
-        rows = bake_batch_rows(&fast, SAMPLES, WIDTH, HEIGHT);
-        bake_batch_sizer_learn(&fast, SAMPLES, (uint64_t)SAMPLES * WIDTH * rows, 0.15);
-    }
-    assert_int_equal(bake_batch_rows(&fast, SAMPLES, WIDTH, HEIGHT), HEIGHT);
-    for (int i = 0; i < 4; i++) {
-        rows = bake_batch_rows(&slow, SAMPLES, WIDTH, HEIGHT);
-        bake_batch_sizer_learn(&slow, SAMPLES, (uint64_t)SAMPLES * WIDTH * rows, 0.1 * rows);
-    }
-    assert_in_range(rows, 2, 5);
+    for (size_t p = 0; p < sizeof patches / sizeof *patches; p++)
+        for (size_t r = 0; r < sizeof rays / sizeof *rays; r++)
+            for (uint32_t n = 1; n <= BAKE_MAX_SAMPLES; n++) {
+                const struct bk_params params = {
+                    .maps = 1u << BK_MAP_ao, .samples = n, .open_rays = rays[r]};
+                trace_batches(&params, &patches[p]);
+            }
 }
 
-/* A launch never traces more samples of a texel than BAKE_BATCH_THREAD, and there are as few
- * launches as that allows. */
-TEST(test_batches_of_texels)
+/* A batch is limited by samples, and by rays: of a patch with 256 rays a texel, 2^14 texels. */
+TEST(test_sizes_of_batches)
 {
-    for (uint32_t n = 1; n <= BAKE_MAX_SAMPLES; n++) {
-        const uint32_t lines = bake_batch_lines(n);
-        assert_in_range(lines, 1, n);
-        assert_true(lines * n <= BAKE_BATCH_THREAD);
-        assert_true(lines == n || (lines + 1) * n > BAKE_BATCH_THREAD);
-    }
+    const struct bk_patch patch = {0, 0, 256, 256};
+    struct bk_params params = {.maps = 1u << BK_MAP_ao, .samples = 1, .open_rays = 256};
+    struct bk_batch first = bake_first_batch(&params, &patch);
+    (void)state;
+    assert_int_equal(first.end_column, 256);
+    assert_int_equal(first.end_row, 64);
+    params.maps = 1u << BK_MAP_normal;
+    first = bake_first_batch(&params, &patch);
+    assert_int_equal(first.end_row, 256);
+    params.samples = 64;
+    first = bake_first_batch(&params, &patch);
+    assert_int_equal(first.end_line, 4);
+    assert_int_equal(first.end_row * first.end_column * 256, BAKE_BATCH_SAMPLES);
 }
 
 TEST(test_overlaps_count_once)

@@ -101,11 +101,12 @@ static struct bake_device_times times_of(struct fixture *f, int patches, struct 
     const struct bk_patch patch = {.width = WIDTH, .height = HEIGHT};
     struct bake_device_times times;
     struct bake_backend *backend;
+    const struct bake_tree none = {0};
     struct bake_grid_arrays grid;
     char why[BAKE_WHY_BYTES];
 
     assert_int_equal(bake_cuda_kind.open(f->ctx, 0, &f->job, &backend), 0);
-    bake_list_arrays(&f->job, &grid);
+    bake_list_arrays(&f->job, &none, &grid);
     assert_int_equal(backend->load(backend, &grid, why), 0);
     for (int i = 0; i < patches; i++)
         assert_int_equal(backend->trace(backend, &patch, f->samples, (float *)texels, 0, why), 0);
@@ -114,8 +115,8 @@ static struct bake_device_times times_of(struct fixture *f, int patches, struct 
     return times;
 }
 
-/* On a slow device a patch takes several launches of about BAKE_BATCH_SECONDS. */
-FIXTURE_TEST(test_batches)
+/* The time of kernels is that of all launches. */
+FIXTURE_TEST(test_launches_and_times)
 {
     enum { PATCHES = 3 };
     struct fixture *f = *state;
@@ -124,14 +125,10 @@ FIXTURE_TEST(test_batches)
     const double seconds = 1e-9 * 2500 * TEXELS * SAMPLES * SAMPLES; /* 66 ms a patch */
     struct bake_device_times times;
 
-    times = times_of(f, 1, cuda);
-    assert_int_equal(times.launches, 1);
     setenv("FAKE_CUDA_NS", "2500", 1);
     times = times_of(f, PATCHES, cuda);
     assert_same(native, cuda, TEXELS);
-    /* The first patch is below BAKE_BATCH_FIRST samples. Then 0.05 s are 20000 samples of 26412:
-     * two calls. */
-    assert_int_equal(times.launches, 1 + 2 + 2);
+    assert_int_equal(times.launches, PATCHES);
     assert_true(times.kernels > 0.999 * PATCHES * seconds &&
                 times.kernels < 1.001 * PATCHES * seconds);
     free(native);
@@ -178,13 +175,14 @@ FIXTURE_TEST(test_memory_for_the_driver)
     const uint64_t all = 1 << 30;
     struct fixture *f = *state;
     struct sheet_texel *native = traced_sheet_trace(f, "cpu", 0), *cuda;
+    const struct bake_tree none = {0};
     struct bake_grid_arrays grid;
     struct bake_backend *backend;
     uint64_t needed;
 
     setenv("FAKE_CUDA_MEMORY", "1073741824", 1);
     assert_int_equal(bake_cuda_kind.open(f->ctx, 0, &f->job, &backend), 0);
-    bake_list_arrays(&f->job, &grid);
+    bake_list_arrays(&f->job, &none, &grid);
     needed = all / 16 * 15 - backend->memory_bytes + grid.bytes; /* texels and triangles, too */
     backend->close(backend);
     cuda = trace_with(f, needed);

@@ -3,6 +3,7 @@
 #include "base/context.h"
 #include "libbake/device/job/job.h"
 #include "libbake/device/native/tree_rays.h"
+#include "libbake/kernel/bk_tree.h"
 #include "tests/unit/libbake/analytic_grid.h"
 #include "tests/unit/test.h"
 
@@ -188,6 +189,28 @@ TEST(test_limits)
 
 /* ---- rays ---- */
 
+/* Sends the rays of a point through the tree one by one. */
+static void look_one_by_one(const struct fixture *f, const bk_rays *kind, const bk_viewpoint *point,
+                            float *found)
+{
+    bk_grid grid = f->grid;
+    grid.nodes = (const bk_ulong2 *)(const void *)f->tree.nodes;
+    grid.blocks = (const bk_ulong *)(const void *)f->tree.blocks;
+    for (uint32_t ray = 0; ray < RAYS; ray++)
+        found[ray] = bk_tree_look(&grid, &f->params, kind, point,
+                                  bk_ray_directions(kind, point->share, point->normal, ray));
+}
+
+/* Checks what rays found. exact: distances count, not only whether a ray meets something. */
+static void check_found(const float *found, const float *expected, bool exact)
+{
+    for (uint32_t i = 0; i < POINTS * RAYS; i++)
+        if (exact)
+            assert_memory_equal(&found[i], &expected[i], sizeof *found);
+        else
+            assert_true(expected[i] < 0 ? found[i] < 0 : found[i] >= 0);
+}
+
 /* Compares rays through the tree with bk_look() at all levels of instructions. exact: distances
  * count, not only whether a ray meets something. */
 static void compare(const struct fixture *f, const bk_rays *kind, const bk_viewpoint *points,
@@ -211,12 +234,12 @@ static void compare(const struct fixture *f, const bk_rays *kind, const bk_viewp
         memset(found, 0xff, sizeof found);
         BSQ_SIMD_PICK(level, bake_tree_look)
         (&f->grid, &f->params, &f->tree, kind, points, POINTS, found, RAYS, &stream);
-        for (uint32_t i = 0; i < POINTS * RAYS; i++)
-            if (exact)
-                assert_memory_equal(&found[i], &expected[i], sizeof *found);
-            else
-                assert_true(expected[i] < 0 ? found[i] < 0 : found[i] >= 0);
+        check_found(found, expected, exact);
     }
+    memset(found, 0xff, sizeof found);
+    for (uint32_t i = 0; i < POINTS; i++)
+        look_one_by_one(f, kind, &points[i], &found[i * RAYS]);
+    check_found(found, expected, exact);
 }
 
 static void compare_kinds(struct fixture *f, const bk_viewpoint *points, float sine2, float limit)

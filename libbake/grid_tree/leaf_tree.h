@@ -1,5 +1,8 @@
 /* leaf_tree.h - a tree of boxes around the voxels of a grid, for secondary rays.
  *
+ * Takes an open grid file; gives the tree, which processors read in place and which goes up to
+ * GPUs.
+ *
  * A node has up to eight children. Their boxes are stored as eight-bit steps from the node's corner
  * (Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide
  * BVHs", 2017). The lowest nodes are the leaves of the grid. Their children are the eight blocks of
@@ -9,8 +12,8 @@
  *
  * The occupied voxels of blocks are stored again. Rays that voxels hide as a whole need nothing
  * else of the grid, whose file is mapped in small pages. */
-#ifndef BAKE_DEVICE_NATIVE_LEAF_TREE_H
-#define BAKE_DEVICE_NATIVE_LEAF_TREE_H
+#ifndef BAKE_GRID_TREE_LEAF_TREE_H
+#define BAKE_GRID_TREE_LEAF_TREE_H
 
 #include <stdint.h>
 

@@ -3,7 +3,7 @@
  * The leaves are listed in Morton order. Nodes are made from the root down: each has a range of
  * that list and divides it where the highest bit changes, until there are eight parts or only
  * single leaves. Boxes are then made from the last node up, since children follow their parents. */
-#include "libbake/device/native/leaf_tree.h"
+#include "libbake/grid_tree/leaf_tree.h"
 
 #include <assert.h>
 #include <stdbool.h>
@@ -11,7 +11,7 @@
 
 #include "base/context.h"
 #include "base/sort_array.h"
-#include "libbake/device/job/job.h"
+#include "formats/grid/nvdb.h"
 
 /* A leaf of the grid. */
 struct leaf {
@@ -83,6 +83,90 @@ static int by_morton_order(const void *left, const void *right)
     return (a[axis] > b[axis]) - (a[axis] < b[axis]);
 }
 
+/* ---- nodes of the grid ---- */
+
+typedef int node_visit(void *arg, uint32_t lower, const int32_t origin[3]);
+
+/* Returns the number of child n of a node; its level's first node is `distance` bytes before that
+ * of the children's level. */
+static uint32_t child_of(const uint64_t *words, uint64_t node_at, uint32_t mask, uint32_t table,
+                         uint32_t n, uint64_t distance, uint32_t child_words, uint32_t count)
+{
+    if (!(words[mask + (n >> 6)] >> (n & 63) & 1))
+        return BK_NONE;
+    const uint64_t number = (node_at + words[table + n] - distance) / (child_words * UINT64_C(8));
+    return number < count ? (uint32_t)number : BK_NONE;
+}
+
+static uint32_t upper_lower(const struct fmt_nvdb_grid *grid, uint32_t upper, uint32_t n)
+{
+    const uint64_t at = (uint64_t)upper * BK_UPPER_WORDS * 8;
+    return child_of((const uint64_t *)(const void *)(grid->uppers + at), at, BK_UPPER_CHILD_MASK,
+                    BK_UPPER_TABLE, n, (uint64_t)(grid->lowers - grid->uppers), BK_LOWER_WORDS,
+                    grid->lower_count);
+}
+
+/* Returns the number of a leaf of a lower node; BK_NONE if there is none, or if the grid has no
+ * such leaf: the file may change while it is read. */
+static uint32_t lower_leaf(const struct fmt_nvdb_grid *grid, uint32_t lower, uint32_t n)
+{
+    const uint64_t at = (uint64_t)lower * BK_LOWER_WORDS * 8;
+    return child_of((const uint64_t *)(const void *)(grid->lowers + at), at, BK_LOWER_CHILD_MASK,
+                    BK_LOWER_TABLE, n, (uint64_t)(grid->leaves - grid->lowers), BK_LEAF_WORDS,
+                    grid->leaf_count);
+}
+
+static int visit_upper(const struct fmt_nvdb_grid *grid, uint32_t upper, const int32_t origin[3],
+                       node_visit *visit, void *arg)
+{
+    uint32_t first[3], last[3];
+    int status = 0;
+    for (int k = 0; k < 3; k++) {
+        const int64_t a = ((int64_t)grid->index_min[k] - origin[k]) >> BK_LOWER_LOG2;
+        const int64_t b = ((int64_t)grid->index_max[k] - origin[k]) >> BK_LOWER_LOG2;
+        first[k] = a < 0 ? 0 : (uint32_t)a;
+        last[k] = b > 31 ? 31 : (uint32_t)b;
+    }
+    for (uint32_t x = first[0]; x <= last[0]; x++)
+        for (uint32_t y = first[1]; y <= last[1]; y++)
+            for (uint32_t z = first[2]; status == 0 && z <= last[2]; z++) {
+                const uint32_t lower = upper_lower(grid, upper, x << 10 | y << 5 | z);
+                const int32_t at[3] = {origin[0] + (int32_t)(x << BK_LOWER_LOG2),
+                                       origin[1] + (int32_t)(y << BK_LOWER_LOG2),
+                                       origin[2] + (int32_t)(z << BK_LOWER_LOG2)};
+                status = lower == BK_NONE ? 0 : visit(arg, lower, at);
+            }
+    return status;
+}
+
+/* Returns the lowest voxel of a root tile along the axis whose key bits begin at `shift`. */
+static int32_t tile_origin(uint64_t key, uint32_t shift)
+{
+    const uint32_t bits = (uint32_t)(key >> shift) & 0xfffff; /* x >> 12 of a 32-bit x */
+    return (int32_t)(bits << BK_UPPER_LOG2);
+}
+
+/* Calls visit() for each lower node of a grid that overlaps its bounds. origin: the node's lowest
+ * voxel. Returns the first result of visit() that is not 0, after which it stops. */
+static int visit_nodes(const struct fmt_nvdb_grid *grid, node_visit *visit, void *arg)
+{
+    const uint64_t *tiles = (const uint64_t *)(const void *)grid->tiles;
+    int status = 0;
+    for (uint32_t i = 0; status == 0 && i < grid->tile_count; i++) {
+        const uint64_t key = tiles[i * BK_TILE_WORDS], child = tiles[i * BK_TILE_WORDS + 1];
+        const uint64_t upper =
+            (child - (uint64_t)(grid->uppers - grid->root)) / (BK_UPPER_WORDS * UINT64_C(8));
+        const int32_t origin[3] = {tile_origin(key, 42), tile_origin(key, 21), tile_origin(key, 0)};
+        bool inside = child != 0 && upper < grid->upper_count;
+        for (int k = 0; k < 3; k++)
+            inside = inside && grid->index_max[k] >= origin[k] &&
+                     grid->index_min[k] <= (int64_t)origin[k] + (1 << BK_UPPER_LOG2) - 1;
+        if (inside)
+            status = visit_upper(grid, (uint32_t)upper, origin, visit, arg);
+    }
+    return status;
+}
+
 /* ---- the list of leaves ---- */
 
 static int add_lower(void *arg, uint32_t lower, const int32_t origin[3])
@@ -97,7 +181,7 @@ static int add_lower(void *arg, uint32_t lower, const int32_t origin[3])
 
 static int list_lowers(struct builder *builder)
 {
-    int status = bake_visit_nodes(builder->grid, add_lower, builder);
+    int status = visit_nodes(builder->grid, add_lower, builder);
     bsq_sort(builder->lowers, builder->lower_count, sizeof *builder->lowers, by_morton_order);
     return status;
 }
@@ -121,7 +205,7 @@ static int list_leaves(struct builder *builder)
         for (uint32_t code = 0; code < 1u << 12; code++) {
             const uint32_t x = third_bits(code >> 2), y = third_bits(code >> 1);
             const uint32_t z = third_bits(code);
-            const uint32_t leaf = bake_lower_leaf(grid, lower->lower, x << 8 | y << 4 | z);
+            const uint32_t leaf = lower_leaf(grid, lower->lower, x << 8 | y << 4 | z);
             if (leaf == BK_NONE)
                 continue;
             if (builder->leaf_count == grid->leaf_count)
