@@ -211,17 +211,18 @@ $(BUILD)/gen/kernel_ptx.inc: $(BUILD)/gen/kernel-$(PTX).ptx libbake/kernel/embed
 	{ awk -f libbake/kernel/embed.awk $< && echo '""'; } > $@
 
 # A program is made of tools/bisque-NAME.c, tools/NAME_*.c and tools/cli*.c; two also have reports.
+# program NAME,FOLDER,OBJECTS: the rule for it in a folder of the build, with further objects.
 more.bake := tools/page.c
 more.compare := tools/page.c
 define program
-$(BUILD)/bin/bisque-$(1): $(patsubst %,$(BUILD)/obj/%.o,tools/bisque-$(1).c \
+$(BUILD)/$(2)/bisque-$(1): $(patsubst %,$(BUILD)/obj/%.o,tools/bisque-$(1).c \
     $(more.$(1)) \
-    $(wildcard tools/$(1)_*.c tools/cli*.c)) $(archives)
+    $(wildcard tools/$(1)_*.c tools/cli*.c)) $(3) $(archives)
 	@mkdir -p $$(@D)
 	$$(CC) $$(common) $$(LDFLAGS) -o $$@ $$(filter %.o,$$^) $(archive.libvoxel) $(archive.libbake) \
 	    $(archive.formats) $(archive.base) $$(LIBS.tools) $$(LIBS.all)
 endef
-$(foreach p,$(programs:bisque-%=%),$(eval $(call program,$(p))))
+$(foreach p,$(programs:bisque-%=%),$(eval $(call program,$(p),bin)))
 
 $(BUILD)/lib/bisque/bisque-devices: $(BUILD)/obj/$(src.helper).o $(archives)
 	@mkdir -p $(@D)

@@ -130,12 +130,18 @@ $(BUILD)/tests/fuzz-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$
 # A library that lets a program's system calls fail, and the program that runs it; see
 # tests/cli/test_faults.sh. Built without sanitizers, as it is loaded into programs without them.
 faults := $(BUILD)/tests/faults.so $(BUILD)/tests/torture $(BUILD)/tests/no-sockets
-$(BUILD)/tests/faults.so: tests/faults/faults.c
+$(BUILD)/tests/faults.so: tests/faults/faults.c tests/faults/fault.c tests/faults/fault.h
 	@mkdir -p $(@D)
-	$(CC) -std=c11 -D_GNU_SOURCE $(WARN) -O1 -g -fPIC -shared -o $@ $< -ldl
+	$(CC) -std=c11 -D_GNU_SOURCE -I. $(WARN) -O1 -g -fPIC -shared -o $@ $(filter %.c,$^) -ldl
 $(BUILD)/tests/torture $(BUILD)/tests/no-sockets: $(BUILD)/tests/%: tests/faults/%.c
 	@mkdir -p $(@D)
 	$(CC) -std=c11 -D_GNU_SOURCE $(WARN) -O1 -g -o $@ $<
+# The programs once more, with the calls that checks.c counts.
+counted      := $(addprefix $(BUILD)/tests/bin/,$(programs))
+counted_objs := $(patsubst %,$(BUILD)/obj/tests/faults/%.c.o,checks fault)
+$(counted): LDFLAGS += $(patsubst %,-Wl$(comma)--wrap=%,bsq_check bsq_progress_begin)
+$(counted): | $(BUILD)/tests/lib
+$(foreach p,$(programs:bisque-%=%),$(eval $(call program,$(p),tests/bin,$(counted_objs))))
 
 fuzz_seconds ?= 60
 .PHONY: $(fuzz_names:%=fuzz-%) fuzz-all fuzz-all-build fuzz-merge
@@ -163,7 +169,7 @@ unit: $(unit_bins) $(fakes)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
 tests-build: all $(examples) $(unit_bins) $(generator) $(checkers) \
-    $(read_files) $(damage_images) $(replays) $(fakes) $(faults)
+    $(read_files) $(damage_images) $(replays) $(fakes) $(faults) $(counted)
 
 # The scripts take longest, so they start first.
 ## test: build and run all tests, with the packages that are installed

@@ -1,6 +1,6 @@
 #!/bin/sh
-# test_combine.sh - random scenes and options, each baked in many ways that must give the same bytes:
-# other ones each day. SEED=20260102 repeats a day; tests/combine/combine.py has further options.
+# test_combine.sh - random scenes and options, each baked in many ways that must give the same bytes.
+# LONG=1 draws other ones; SEED repeats a run; tests/combine/combine.py has further options.
 . "$(dirname "$0")/lib.sh"
 
 combine() # ARGUMENT...: what run() sets
@@ -13,7 +13,7 @@ export BIN TESTS
 trials=100
 [ -z "${LONG-}" ] || trials=5000
 sanitized && trials=$((trials / 10))
-combine --seed "${SEED:-$(date +%Y%m%d)}" --trials $trials --keep "$TESTS/../combine-failures"
+combine --seed "$(seed)" --trials $trials --keep "$TESTS/../combine-failures"
 cat "$out"
 code 0
 

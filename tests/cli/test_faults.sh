@@ -9,7 +9,7 @@ if ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'; then
     finish
     exit
 fi
-SEED=${SEED:-$(date +%s)}
+SEED=$(seed)
 # Runs that are killed, calls at which a run is killed or interrupted, and calls that fail in each
 # way, evenly spread over the run. With LONG=1 all calls of most jobs fail once.
 if [ -n "${LONG-}" ]; then kills=200 calls=60 most=100000; else kills=24 calls=12 most=20; fi

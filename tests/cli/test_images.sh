@@ -7,7 +7,7 @@ images=$top/tests/images
 count=300
 [ -z "${LONG-}" ] || count=20000
 sanitized && count=60
-SEED=${SEED:-$(date +%s)}
+SEED=$(seed)
 command="damage-images $SEED ${COUNT:-$count}" code=0
 "$TESTS/damage-images" "$SEED" "${COUNT:-$count}" "$images"/* >"$out" 2>"$err" || code=$?
 cat "$out"
@@ -86,6 +86,12 @@ $vox "$image"
 refused_like 66 "^$p $image: .*/bisque-tiff is not of this program's build, or does not work"
 [ ! -e square.nvdb.tmp ]
 check "nothing is left" $?
-acts 'exec sleep 60'
-ends_while "an image is read" 0.5 bisque-voxelize square.obj -o late.nvdb --texture "$image"
+# It never ends: a signal ends the wait, and the program.
+acts 'echo $$ >reader; exec sleep 1000000'
+cp "$TESTS/bin/bisque-voxelize" copy/bin
+TESTS=$PWD/copy
+at_look 60 TERM "" bisque-voxelize square.obj -o late.nvdb --texture "$image"
+stopped
+! kill -0 "$(cat reader)" 2>/dev/null
+check "the program that reads the image has ended" $?
 finish

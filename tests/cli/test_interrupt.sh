@@ -1,7 +1,9 @@
 #!/bin/sh
-# test_interrupt.sh - SIGTERM ends the programs on inputs that are made to be slow: a scan with very
-# many materials, one polygon with very many corners, and low-poly triangles that all cover the
-# whole map. Each is interrupted at several moments, which fall into all stages.
+# test_interrupt.sh - signals end the programs in all stages, also on inputs that are made to be slow: a
+# scan with very many materials, one polygon with very many corners, and low-poly triangles that all
+# cover the whole map. The programs of $TESTS/bin get a signal when they look for an interruption for
+# the N-th time, so the moments are the same on any machine. With LONG=1, they get signals at
+# moments by the clock, in larger inputs, and must end within two seconds.
 . "$(dirname "$0")/lib.sh"
 
 # A star-shaped polygon with texture coordinates, and random radii.
@@ -42,52 +44,83 @@ write_covering()
     awk -v n="$1" 'BEGIN {
         print "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1"
         for (i = 0; i < n; i++)
-            print i % 2 ? "f 1/1 2/2 3/3" : "f 1/1 3/3 4/4"
+            print i % 2 ? "f 3/3 2/2 1/1" : "f 4/4 3/3 1/1"
     }'
 }
 
-# stops NAME PROGRAM ARGUMENT...: interrupts the program at several moments, $most (4) at most. It
-# must end with 75 and leave nothing, unless it was done before (0), or had not yet started (143).
-# 20 seconds are far more than it may take to answer; then it is killed (137).
+# stops NAME LEAST PROGRAM ARGUMENT...: counts how often the program looks for an interruption, at
+# least LEAST times; then signals end it at some of these looks, evenly spread. It leaves nothing.
 stops()
 {
-    name=$1 answered=0 command=$* code=0 before=$(ls -A)
-    shift
-    program=$1
-    shift
-    for moment in 0.1 0.2 0.4 0.7 1 1.5 2 4 8; do
-        code=0
-        env --default-signal=TERM timeout --preserve-status --kill-after=20 "$moment" \
-            "$BIN/$program" "$@" >"$out" 2>"$err" || code=$?
-        [ "$code" -ne 143 ] || continue
-        [ "$code" -eq 75 ] || break
-        [ "$(tail -n 1 "$err")" = "$program: interrupted" ] && [ "$(ls -A)" = "$before" ] || break
-        answered=$((answered + 1))
-        [ "$answered" -lt "${most:-4}" ] || break
-    done
-    [ "$answered" -gt 0 ] && { [ "$code" -eq 0 ] || { [ "$code" -eq 75 ] && [ "$answered" -eq "${most:-4}" ]; }; }
-    check "$name: $answered interruptions are answered" $?
+    name=$1 least=$2 moment=0
+    shift 2
+    at_look 0 '' '' "$@"
+    code 0
     rm -f slow*
+    all=$looks before=$(ls -A)
+    holds "$name: it looks for an interruption $all times, at least $least" [ "$all" -ge "$least" ]
+    for signal in TERM INT HUP TERM INT HUP TERM; do
+        at_look $((1 + moment * (all - 1) / 7)) $signal '' "$@"
+        stopped
+        holds "$name: nothing is left" [ "$(ls -A)" = "$before" ]
+        moment=$((moment + 1))
+    done
 }
 
-if sanitized; then size=20000; else size=200000; fi
-write_polygon $size >polygon.obj
-write_materials $size
-write_covering $size >covering.obj
+# ends NAME SECONDS PROGRAM ARGUMENT...: each signal ends the program within two seconds, at moments
+# of the first SECONDS, or it was done before. A signal that comes before it has begun ends it, too.
+ends()
+{
+    name=$1 last=$2 before=$(ls -A)
+    shift 2
+    for signal in TERM INT HUP; do
+        for tenth in 0 2 4 6 8 10; do
+            command="$*, SIG$signal" code=0
+            env --default-signal=TERM,INT,HUP "$BIN/$@" >"$out" 2>"$err" &
+            sleep "$(echo "0.05 + $tenth * $last / 10" | bc -l)"
+            sent=$(date +%s%N)
+            kill -$signal $! 2>/dev/null
+            wait $! || code=$?
+            late=$((($(date +%s%N) - sent) / 1000000))
+            [ "$late" -lt 2000 ] && { [ "$code" -eq 0 ] || [ "$code" -gt 128 ] || [ "$code" -eq 75 ]; }
+            check "$name: it ends $late ms after SIG$signal, with $code" $?
+            rm -f slow*
+            holds "$name: nothing is left" [ "$(ls -A)" = "$before" ]
+        done
+    done
+}
+
 write_box >box.obj
 ok run bisque-voxelize box.obj -o box.nvdb --resolution 64
-
-stops "one polygon as a scan" bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 --no-tris
-stops "one polygon in little memory" bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 --no-tris \
-    --threads 1 --memory 80M
-# The coarse grid takes no time, so the moments fall into reading and writing the materials.
-most=9
-stops "many materials" bisque-voxelize materials.obj -o slow.nvdb --resolution 4 --no-tris
-unset most
-stops "one polygon as the low-poly mesh" bisque-bake box.nvdb polygon.obj -o 'slow_<MAP>.exr' \
-    --device cpu --size 2048
-for surface in nvdb tris; do
-    stops "triangles over the whole map, .$surface" bisque-bake box.$surface covering.obj --as-is \
-        -o 'slow_<MAP>.exr' --device cpu --size 1024 --samples 8 --memory 1G
+"$TESTS/generate-scan" --triangles 200000 vase -o vase.obj
+"$TESTS/generate-scan" vase-low -o low.obj
+ok run bisque-voxelize vase.obj -o vase.nvdb --resolution 128
+for map in a b; do
+    ok run bisque-bake vase.nvdb low.obj --device cpu --size 512 --samples 1 --maps normal -o $map.exr
 done
+
+if [ -z "${LONG-}" ]; then size=20000 side=256 try=stops; else size=200000 side=1024 try=ends; fi
+# of LOOKS: the argument after the name: LOOKS, or the seconds in which signals come.
+of() { if [ $try = stops ]; then echo "$1"; else echo 8; fi; }
+write_polygon $size >polygon.obj
+write_materials $size
+write_covering $((size / 5)) >covering.obj
+
+# Every loop looks at least once for 64 corners, materials or triangles.
+$try "one polygon as a scan" $(of $((size / 64))) bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 --no-tris
+$try "one polygon in little memory" $(of $((size / 64))) bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 \
+    --no-tris --threads 1 --memory 80M
+$try "many materials" $(of $((size / 64))) bisque-voxelize materials.obj -o slow.nvdb --resolution 4 --no-tris
+$try "one polygon as the low-poly mesh" $(of $((size / 64))) bisque-bake box.nvdb polygon.obj -o 'slow_<MAP>.exr' \
+    --device cpu --size $((2 * side)) --front 4 --back 4 --two-sided --samples 1
+for surface in nvdb tris; do
+    $try "triangles over the whole map, .$surface" $(of $((size / 5 / 64))) bisque-bake box.$surface covering.obj --as-is \
+        -o 'slow_<MAP>.exr' --device cpu --size $side --samples 8 --memory 1G
+done
+# A plain job of each program.
+$try "a scan" $(of 100) bisque-voxelize vase.obj -o slow.nvdb --no-tris --resolution 256
+$try "a bake" $(of 100) bisque-bake vase.nvdb low.obj -o 'slow_<MAP>.exr' --maps normal,ao --size $((2 * side)) --device cpu
+$try "an exact bake" $(of 100) bisque-bake vase.tris low.obj -o 'slow_<MAP>.png' --maps normal,ao --size $side
+$try "simplifying" $(of 100) bisque-simplify vase.tris -o slow.obj --triangles 20000
+$try "comparing" $(of 4) bisque-compare a.exr b.exr --heatmap slow.png
 finish

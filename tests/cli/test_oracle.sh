@@ -5,10 +5,11 @@
 # KEEP; tests/oracle/read_file.py and --verify repeat the verdicts.
 . "$(dirname "$0")/lib.sh"
 if [ -n "${LONG-}" ]; then
-    count=${COUNT:-40000} seed=${SEED:-$(date +%s)}
+    count=${COUNT:-40000}
 else
-    count=${COUNT:-1500} seed=${SEED:-1}
+    count=${COUNT:-1500}
 fi
+seed=$(seed)
 keep=${KEEP:-$(dirname "$TESTS")/disagreements}
 
 need_oracle

@@ -56,7 +56,8 @@ refused 64 "$p -: a pipe can be read only once"
 $vox pipe ./pipe -o piped.nvdb
 refused 64 "$p ./pipe: a pipe can be read only once"
 # Nobody writes: a signal ends the wait.
-ends_while "a pipe is read" 0.3 bisque-voxelize pipe -o piped.nvdb
+at_look 20 TERM "" bisque-voxelize pipe -o piped.nvdb
+stopped
 mkfifo low.obj
 run bisque-bake plain.nvdb low.obj --maps normal -o map.exr
 refused 66 "bisque-bake: low.obj: not a regular file"

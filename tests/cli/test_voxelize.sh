@@ -359,8 +359,8 @@ command="bisque-voxelize with a file size limit" code=0
 refused_like 74 '^bisque-voxelize: .*File too large$'
 files box.nvdb box.obj box.tris
 
-for signal in TERM HUP; do
-    interrupted $signal voxelizing bisque-voxelize box.obj -o a.nvdb --no-tris --resolution 6000
+for signal in TERM INT HUP; do
+    interrupted $signal voxelizing bisque-voxelize box.obj -o a.nvdb --no-tris --resolution 500
     files box.nvdb box.obj box.tris
 done
 

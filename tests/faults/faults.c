@@ -1,17 +1,7 @@
 /* faults.c - a library for LD_PRELOAD that makes chosen system calls of a program fail, or ends the
- * program at one of them. Settings in the environment:
+ * program at one of them. fault.h has the settings in the environment; further ones are:
  *
  * FAULT_UNDER   only files under this directory count (absolute path without links); required
- * FAULT_CALLS   which calls count: words of open, read, map, write, sync, size, name, remove, close
- * FAULT_PATH    only files whose path contains this text count
- * FAULT_AT      number of the call that fails, from 1; 0 or not set: none
- * FAULT_STICKY  1: all calls from that number on fail
- * FAULT_DO      an errno (ENOSPC ...): the call fails;
- *               short: a read or write transfers half;
- *               kill: SIGKILL before the call;
- *               interrupt: SIGTERM before the call;
- *               pause: creates the file FAULT_FLAG and continues when that file is gone
- * FAULT_LOG     file that gets a line for each call that counts
  * FAULT_CLOCK   seconds by which the system's clock jumps, forth and back, whenever it is read
  * FAULT_SPEED   factor by which clocks that only go forward run faster
  * FAULT_THREADS at most this many threads can be started
@@ -23,7 +13,6 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <pthread.h>
-#include <signal.h>
 #include <stdarg.h>
 #include <stdatomic.h>
 #include <stdbool.h>
@@ -38,74 +27,19 @@
 #include <time.h>
 #include <unistd.h>
 
-static atomic_ulong calls;
+#include "tests/faults/fault.h"
 
-static const struct {
-    const char *name;
-    int number;
-} errors[] = {{"ENOSPC", ENOSPC}, {"EIO", EIO},     {"EINTR", EINTR},   {"EDQUOT", EDQUOT},
-              {"EMFILE", EMFILE}, {"EPERM", EPERM}, {"ENOMEM", ENOMEM}, {"EOPNOTSUPP", EOPNOTSUPP}};
+enum { GO_ON = FAULT_GO_ON, SHORT = FAULT_SHORT, FAIL = FAULT_FAIL };
 
-/* ---- settings ---- */
-
-static const char *setting(const char *name)
-{
-    const char *value = getenv(name);
-    return value ? value : "";
-}
-
-static void log_call(unsigned long number, const char *call, const char *path)
-{
-    char line[5000];
-    const char *log = setting("FAULT_LOG");
-    if (!*log)
-        return;
-    int size = snprintf(line, sizeof line, "%lu %s %s\n", number, call, path);
-    int fd = (int)syscall(SYS_openat, AT_FDCWD, log, O_WRONLY | O_CREAT | O_APPEND, 0600);
-    syscall(SYS_write, fd, line, (size_t)size);
-    syscall(SYS_close, fd);
-}
-
-static void pause_here(void)
-{
-    const char *flag = setting("FAULT_FLAG");
-    syscall(SYS_close, syscall(SYS_openat, AT_FDCWD, flag, O_WRONLY | O_CREAT, 0600));
-    while (syscall(SYS_faccessat, AT_FDCWD, flag, F_OK) == 0)
-        usleep(1000);
-}
-
-enum { GO_ON, SHORT, FAIL };
-
-/* Counts a call and returns what to do with it. Sets errno for FAIL. */
+/* Counts a call if its file lies under FAULT_UNDER. */
 static int fault(const char *kind, const char *call, const char *path)
 {
-    const char *under = setting("FAULT_UNDER");
+    const char *under = fault_setting("FAULT_UNDER");
     size_t length = strlen(under);
     if (length == 0 || strncmp(path, under, length) != 0 ||
-        (path[length] != '/' && path[length] != '\0') || !strstr(path, setting("FAULT_PATH")) ||
-        !strstr(setting("FAULT_CALLS"), kind))
+        (path[length] != '/' && path[length] != '\0'))
         return GO_ON;
-    unsigned long number = atomic_fetch_add(&calls, 1) + 1;
-    unsigned long at = strtoul(setting("FAULT_AT"), NULL, 10);
-    log_call(number, call, path);
-    if (at == 0 || number < at || (number > at && !*setting("FAULT_STICKY")))
-        return GO_ON;
-    const char *what = setting("FAULT_DO");
-    if (strcmp(what, "kill") == 0)
-        syscall(SYS_kill, getpid(), SIGKILL);
-    if (strcmp(what, "interrupt") == 0)
-        syscall(SYS_kill, getpid(), SIGTERM);
-    if (strcmp(what, "pause") == 0)
-        pause_here();
-    if (strcmp(what, "short") == 0)
-        return SHORT;
-    for (size_t i = 0; i < sizeof errors / sizeof *errors; i++) {
-        if (strcmp(what, errors[i].name) == 0) {
-            errno = errors[i].number;
-            return FAIL;
-        }
-    }
-    return GO_ON;
+    return fault_at(kind, call, path);
 }
 
 static int fault_fd(const char *kind, const char *call, int fd)
@@ -272,7 +206,7 @@ int close(int fd)
 
 int flock(int fd, int operation)
 {
-    const char *log = setting("FAULT_LOCKS");
+    const char *log = fault_setting("FAULT_LOCKS");
     if (!*log)
         return (int)syscall(SYS_flock, fd, operation);
     int to = (int)syscall(SYS_openat, AT_FDCWD, log, O_WRONLY | O_CREAT | O_APPEND, 0600);
@@ -286,7 +220,7 @@ int flock(int fd, int operation)
 
 static int open_at(const char *call, int directory, const char *path, int flags, mode_t mode)
 {
-    if ((flags & O_TMPFILE) == O_TMPFILE && *setting("FAULT_PLAIN")) {
+    if ((flags & O_TMPFILE) == O_TMPFILE && *fault_setting("FAULT_PLAIN")) {
         errno = EOPNOTSUPP;
         return -1;
     }
@@ -404,7 +338,7 @@ int pthread_create(pthread_t *thread, const pthread_attr_t *attributes, void *(*
 int clock_gettime(clockid_t id, struct timespec *out)
 {
     static atomic_long looks;
-    const long jump = atol(setting("FAULT_CLOCK")), speed = atol(setting("FAULT_SPEED"));
+    const long jump = atol(fault_setting("FAULT_CLOCK")), speed = atol(fault_setting("FAULT_SPEED"));
     const int result = (int)syscall(SYS_clock_gettime, id, out);
     if (id == CLOCK_REALTIME)
         out->tv_sec += atomic_fetch_add(&looks, 1) % 2 ? jump : -jump;
