@@ -207,7 +207,7 @@ check-ptx: $(BUILD)/gen/kernel-$(PTX).ptx
 	    $(MAKE) -s PTX=nvcc BUILD=build/ptx $(nvcc_ptx) \
 	        ptx_nvcc="$$(find $(ptx_tools)/cuda13 -name nvcc -type f)" && \
 	    tests/ptx/check.sh $(ptx_tools) $(filter-out %-nvcc.ptx,$<) $(nvcc_ptx); \
-	else echo "check-ptx: skipped, NVIDIA's assemblers cannot be installed"; fi
+	else tests/skip.sh check-ptx "NVIDIA's assemblers cannot be installed"; fi
 
 .PHONY: check-gpu
 ## check-gpu: all maps of this machine's NVIDIA GPU and OpenCL devices beside the processor's, byte by byte
@@ -238,10 +238,10 @@ check-doors: tests-build
 	        $(MAKE) -s extension && \
 	        BPY=$$python EXTENSION=$(extension)/bisque.zip PICTURES=build/doors BIN=$(BUILD)/bin \
 	            TESTS=$(BUILD)/tests tests/run.sh tests/doors/check_blender.sh || exit 1; \
-	    else echo "check-doors: Blender is skipped, $$python has no module bpy (set BPY)"; fi; done
+	    else CI= tests/skip.sh "check-doors in Blender" "$$python has no module bpy (set BPY)"; fi; done
 	@if tests/install-packages.sh chromium libjs-three; then \
 	    BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh tests/doors/check_reports.sh; \
-	else echo "check-doors: skipped, chromium and libjs-three cannot be installed"; fi
+	else tests/skip.sh check-doors "chromium and libjs-three cannot be installed"; fi
 
 .PHONY: check-gltf
 ## check-gltf: maps of the glTF files in models=FOLDER beside Blender's;
@@ -284,7 +284,8 @@ check-long: check
 	@$(MAKE) --no-print-directory check-python
 	@$(MAKE) --no-print-directory check-arm64
 	@LONG=1 BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
-	    $(patsubst %,tests/cli/test_%.sh,combine faults gltf_materials overwritten oracle reproducible) \
+	    $(patsubst %,tests/cli/test_%.sh,combine farm faults gltf_materials images \
+	    interrupt limits overwritten oracle reproducible) \
 	    $(BUILD)/tests/exhaustion/test_exhaustion $(BUILD)/tests/libvoxel/test_error
 
 # ---- quality ----

@@ -37,7 +37,7 @@ killed_at()
         for call; do
             rm -f $part
             code=0
-            faulty_task "$call" kill $plain || code=$?
+            faulty_task "$call" KILL $plain || code=$?
             command="${faulted##*/} --task 2 killed at $call, FAULT_PLAIN=$plain"
             [ "$code" -ne 0 ] && { [ ! -e $part ] || cmp -s $part whole; }
             check "$command: no part, or all of it" $?

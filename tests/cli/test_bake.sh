@@ -219,7 +219,7 @@ if has_opencl; then
     refused_like 69 '^bisque-bake: .*texels and the low-poly mesh take [0-9]+ bytes'
     rm large.nvdb moved.obj one.exr few.exr
 else
-    echo "# skipped: grids that do not fit a device: there is no OpenCL device"
+    lacks "grids that do not fit a device" "there is no OpenCL device"
 fi
 files $start
 

@@ -109,19 +109,17 @@ if [ -s "$ptx" ]; then
     # gone PID: waits until a process has ended; hung: starts a job with a driver that hangs, sets $job and $asking.
     gone()
     {
-        for _ in $(seq 200); do
-            [ -d "/proc/$1" ] || return 0
+        while [ -d "/proc/$1" ]; do
             case $(cat "/proc/$1/stat" 2>/dev/null) in *") Z "*) return 0 ;; esac
             sleep 0.05
         done
-        return 1
     }
     hung()
     {
         rm -f hang
         LD_LIBRARY_PATH=$fake FAKE_CUDA_HANG=hang "$BIN/bisque-bake" $maps --size 2048 -o 'x_<MAP>.exr' >"$out" 2>"$err" &
         job=$!
-        until [ -s hang ]; do sleep 0.05; done
+        while [ ! -s hang ] && kill -0 "$job"; do sleep 0.05; done
         asking=$(cat hang)
     }
     command="bisque-bake with a driver that hangs"
@@ -153,7 +151,7 @@ if [ -s "$ptx" ]; then
         check "PTX with $bad is refused" $?
     done
 else
-    skip "CUDA" "built without clang and nvcc"
+    lacks "CUDA" "built without clang and nvcc"
     bake --device cuda $maps -o 'x_<MAP>.exr'
     refused 69 "$p this program was built without CUDA (neither clang nor nvcc was there)"
 fi
@@ -189,7 +187,7 @@ if has_opencl; then
         check "$map is the same with OpenCL" "$code"
     done
 else
-    skip "maps with OpenCL" "there is no OpenCL device"
+    lacks "maps with OpenCL" "there is no OpenCL device"
 fi
 
 OCL_ICD_VENDORS=$fake/crashing_driver.so
@@ -204,7 +202,7 @@ if [ "$(cat "$err")" = "$p warning: $crash" ]; then
     bake --device opencl --size 16 --maps mask vase.nvdb low.obj -o x.exr
     refused 69 "$p $crash"
 else
-    skip "a driver that crashes" "no OpenCL loader that takes it"
+    lacks "a driver that crashes" "no OpenCL loader that takes it"
 fi
 OCL_ICD_VENDORS=/nowhere
 bake --device opencl --size 16 --maps mask vase.nvdb low.obj -o x.exr

@@ -32,6 +32,6 @@ elif "${BPY:-python3}" -c 'import bpy' 2>/dev/null; then
     check "Blender renders the squares" $?
     values blender 0.002 color roughness metallic normal
 else
-    echo "skipped: Blender's pictures, there is no Python with the module bpy (set BPY)"
+    skip "Blender's pictures" "there is no Python with the module bpy (set BPY)"
 fi
 finish

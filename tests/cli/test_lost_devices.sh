@@ -49,7 +49,7 @@ if [ -s "$ptx" ]; then
     code 69
     refused 69 "$p Fake GPU 0 (CUDA): cuLaunchKernel: CUDA_ERROR_LAUNCH_FAILED (unspecified launch failure)"
 else
-    skip "CUDA" "built without clang and nvcc"
+    lacks "CUDA" "built without clang and nvcc"
 fi
 
 # ---- OpenCL ----
@@ -74,6 +74,6 @@ if [ -n "$FAKE_OPENCL_REAL" ] && opencl --list devices && grep -q '^opencl:0' "$
         survives "code $code_of_driver"
     done
 else
-    skip "OpenCL" "no device is installed"
+    lacks "OpenCL" "no device is installed"
 fi
 finish

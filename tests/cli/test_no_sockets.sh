@@ -83,13 +83,13 @@ if grep -q '^opencl:0 ' "$out"; then
     offline bisque-bake --list devices
     offline bisque-bake scan.nvdb $maps --device opencl -o 'a_<MAP>.exr'
 else
-    skip "OpenCL opens no socket" "no OpenCL device"
+    lacks "OpenCL opens no socket" "no OpenCL device"
 fi
 if [ -s "$(ls "$BIN"/../gen/kernel-*.ptx 2>/dev/null | head -n 1)" ]; then
     export LD_LIBRARY_PATH="$TESTS/fake"
     offline bisque-bake scan.nvdb $maps --device cuda -o 'a_<MAP>.exr'
 else
-    skip "CUDA opens no socket" "no PTX"
+    lacks "CUDA opens no socket" "no PTX"
 fi
 
 finish

@@ -50,7 +50,7 @@ if command -v jq >/dev/null; then
     alias_of --match name --match-suffixes _low,_high --float -- --match name --type float
     alias_of --match name --match-suffixes _low,_high -- --match _low,_high
 else
-    skip "options of plans" "jq is not installed"
+    lacks "options of plans" "jq is not installed"
 fi
 ok run bisque-bake vase_high.nvdb vase_low.obj -o a.png --maps normal --size 8 --png-bits 8
 holds "--png-bits 8 gives 8 bits" [ "$(od -An -tu1 -j24 -N1 a.png | tr -d ' ')" = 8 ]

@@ -1,14 +1,14 @@
 #!/bin/sh
 # test_overwritten.sh - grids and chunk files that another process overwrites in place while a bake
-# reads them: the bake ends with exit code 74 and one line, or it was done before. No signal ends
-# it. LONG=1 makes many more rounds. tests/faults/ has the library that makes a bake wait.
+# reads them: the bake ends with exit code 74 and one line, unless its maps were complete before. No
+# signal ends it. LONG=1 makes many more rounds. tests/faults/ has what makes a bake wait.
 . "$(dirname "$0")/lib.sh"
-SEED=${SEED:-$(date +%s)}
+SEED=$(seed)
 echo "# SEED=$SEED"
 if [ -n "${LONG:-}" ]; then
-    waiting=40 racing=200
+    waiting=40 moments=200
 else
-    waiting=2 racing=8
+    waiting=2 moments=8
 fi
 
 "$TESTS/generate-scan" -n 30000 --colors vase -o scan.obj
@@ -46,16 +46,29 @@ damage()
     esac
 }
 
-# ended: the last run ended with 0, or with one line about the grid: 74 if it was overwritten while
-# it was open, 65 if that was before. Warnings may come first.
-ended()
+# fresh: $live is the scan again, with a time that differs from that of any change.
+fresh()
 {
-    case $code in
-    0) ;;
-    65 | 74) [ "$(grep -vc ': warning: ' "$err")" -eq 1 ] && grep -q '^bisque-bake: live.nvdb: ' "$err" ;;
-    *) false ;;
-    esac
-    check "ended with 0, 65 or 74: $command" $?
+    cp "scan.${live#live.}" $live
+    touch -d 2020-01-01 $live
+}
+
+# overwritten KIND: the bake was paused; overwrites $live, and waits for the end.
+overwritten()
+{
+    wait_for flag
+    holds "it waits: $command" [ -e flag ]
+    damage "$1"
+    rm -f flag
+    wait $! || code=$?
+}
+
+# changed: the bake has noticed the change, and leaves no map.
+changed()
+{
+    [ "$code" -eq 74 ] && [ "$(cat "$err")" = "bisque-bake: $live: was changed while it was read" ]
+    check "exit code 74: $command" $?
+    holds "no map: $command" [ -z "$(ls -A | grep '^\.*a_')" ]
 }
 
 # held KIND OPTION...: overwrites the scan when the bake opens the low-poly mesh, which it does
@@ -64,36 +77,25 @@ held()
 {
     kind=$1
     shift
-    rm -f flag
-    cp "scan.${live#live.}" $live
+    fresh
     command="bisque-bake $* of $live overwritten with $kind, SEED=$SEED" code=0
     LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$(pwd -P) FAULT_CALLS=open FAULT_PATH=/low.obj FAULT_AT=1 FAULT_DO=pause \
         FAULT_FLAG=flag "$BIN/bisque-bake" $live low.obj --size 48 --maps normal,color -o 'a_<MAP>.exr' "$@" >"$out" 2>"$err" &
-    wait_for flag
-    damage "$kind"
-    rm flag
-    wait $! || code=$?
-    [ "$code" -eq 74 ] && [ "$(cat "$err")" = "bisque-bake: $live: was changed while it was read" ]
-    check "exit code 74: $command" $?
-    holds "no map: $command" [ -z "$(ls -A | grep '^\.*a_')" ]
+    overwritten "$kind"
+    changed
 }
 
-# raced KIND: overwrites the grid at any moment of a bake, opening included.
-raced()
+# while_it_bakes LOOK KIND: overwrites the grid when the bake looks for an interruption for that time.
+while_it_bakes()
 {
-    cp scan.nvdb live.nvdb
-    sleep 0.02
-    command="bisque-bake of a grid overwritten with $1 at any moment, SEED=$SEED" code=0
-    "$BIN/bisque-bake" live.nvdb low.obj --size 128 --device cpu --maps normal,color -o 'r_<MAP>.exr' >"$out" 2>"$err" &
-    random 60
-    sleep "0.0$((100 + random))"
-    damage "$1"
-    wait $! || code=$?
-    ended
-    rm -f r_*.exr
+    fresh
+    command="bisque-bake of a grid overwritten with $2 at look $1, SEED=$SEED" code=0
+    FAULT_CALLS=check FAULT_AT=$1 FAULT_DO=pause FAULT_FLAG=flag FAULT_COUNT=looks "$TESTS/bin/bisque-bake" live.nvdb low.obj \
+        --size 128 --device cpu --maps normal,color -o 'a_<MAP>.exr' >"$out" 2>"$err" &
+    overwritten "$2"
 }
 
-if ldd "$BIN/bisque-bake" | grep -q 'lib[at]san'; then
+if sanitized; then
     skip "bakes that wait" "sanitizers want to be loaded first"
 else
     round=0
@@ -112,11 +114,38 @@ else
         live=live.nvdb size=$(wc -c <scan.nvdb)
     done
 fi
-round=0
-while [ $round -lt $racing ]; do
-    round=$((round + 1))
+
+# ---- at any moment ----
+
+rm -f looks
+fresh
+FAULT_CALLS=check FAULT_COUNT=looks "$TESTS/bin/bisque-bake" live.nvdb low.obj --size 128 --device cpu \
+    --maps normal,color -o 'whole_<MAP>.exr' >"$out" 2>"$err"
+read -r all later <looks
+holds "the bake looks for an interruption, $all times" [ "$all" -gt 1000 ]
+moment=0
+while [ $moment -lt $moments ]; do
     for kind in all page other moved; do
-        raced $kind
+        while_it_bakes $((1 + moment * (all - 10) / moments)) $kind
+        changed
     done
+    moment=$((moment + 1))
 done
+# Its last look comes when the maps have their names.
+while_it_bakes "$all" all
+code 0
+for map in normal color; do
+    same a_$map.exr whole_$map.exr
+done
+
+# A grid that is overwritten before it is opened is like one that always had these bytes.
+if ! sanitized; then
+    rm a_*
+    fresh
+    command="bisque-bake of a grid overwritten before it is opened" code=0
+    LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$(pwd -P) FAULT_CALLS=open FAULT_PATH=/live.nvdb FAULT_AT=1 FAULT_DO=pause \
+        FAULT_FLAG=flag "$BIN/bisque-bake" live.nvdb low.obj --size 48 -o 'a_<MAP>.exr' >"$out" 2>"$err" &
+    overwritten all
+    refused_like 65 '^bisque-bake: live.nvdb: '
+fi
 finish

@@ -127,8 +127,9 @@ else
     ok fast bisque-bake scan.nvdb low.obj --size 256 --maps ao --threads 1 --device cpu -o long.exr --progress none
     holds "and none if none is asked for" [ ! -s "$err" ]
 fi
-timeout 5 "$BIN/bisque-bake" scan.nvdb low.obj --size 4k --samples 8 --rays ao=512 --threads 1 \
-    --maps ao -o long.exr 2>"$err"
+at_look 1 TERM tracing bisque-bake scan.nvdb low.obj --size 4k --samples 8 --rays ao=512 --threads 1 \
+    --maps ao -o long.exr
+stopped
 grep -Eq "^$p [0-9,]+ rays, about [0-9]+:[0-9][0-9] with 1 thread$" "$err"
 check "the work that is expected" $?
 finish

@@ -81,7 +81,7 @@ if has_opencl; then
     ok $bake $small both.nvdb low.obj --cage high_cage.obj --device opencl:0 -o cage.exr
     same_color cage.exr green.exr
 else
-    echo "# skipped: a cage on OpenCL: there is no OpenCL device"
+    lacks "a cage on OpenCL" "there is no OpenCL device"
 fi
 
 # ---- layers ----
@@ -176,7 +176,7 @@ if has_opencl; then
     ok $turned --device opencl:0 --skew grey.pgm -o opencl.exr
     ok run bisque-compare opencl.exr skew_grey.exr --max-error 0.1
 else
-    echo "# skipped: a skew map on OpenCL: there is no OpenCL device"
+    lacks "a skew map on OpenCL" "there is no OpenCL device"
 fi
 # Secondary rays make a patch of the raster so dear that it is traced in bands of rows. Maps without
 # them, of the same tile in one band, have the same bytes.

@@ -178,7 +178,7 @@ if command -v nanovdb_convert >/dev/null; then
     nanovdb_convert -f -z -g surface full.vdb z.nvdb >/dev/null 2>&1
     other z.nvdb 'compressed NanoVDB file (codec ZIP): Bisque reads uncompressed ones'
 else
-    skip "grids of NanoVDB's own tool" "nanovdb_convert is not installed"
+    lacks "grids of NanoVDB's own tool" "nanovdb_convert is not installed"
 fi
 other full.vdb 'neither a chunk file nor a NanoVDB file, but an OpenVDB file'
 other box.obj 'neither a chunk file nor a NanoVDB file; bisque-voxelize makes both from a mesh'

@@ -168,7 +168,7 @@ if command -v nanovdb_validate >/dev/null; then
     run_validate=$(nanovdb_validate box.nvdb 2>&1)
     check "nanovdb_validate accepts the grid: $run_validate" $?
 else
-    skip "nanovdb_validate accepts the grid" "not installed"
+    lacks "nanovdb_validate accepts the grid" "not installed"
 fi
 
 ok $vox box.obj -o a.nvdb --no-tris --resolution 24 --vdb a.vdb --json
@@ -178,7 +178,7 @@ if command -v vdb_print >/dev/null; then
     vdb_print a.vdb | grep -q surface
     check "OpenVDB reads the export" $?
 else
-    skip "OpenVDB reads the export" "not installed"
+    lacks "OpenVDB reads the export" "not installed"
 fi
 rm a.*
 

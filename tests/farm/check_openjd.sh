@@ -161,15 +161,12 @@ rm -f asset?_* asset?.obj.nvdb
 command="openjd run, cancelled" code=0
 PYTHONUNBUFFERED=1 "$openjd" run assets.chunks.yaml --step Bake -p Root=. -p List=list.tsv -p LastAsset=2 -p Resolution=128 \
     -p BakeOptions="--size 4096 --samples 4 --maps ao --rays ao=4096 --device cpu" -p BinDir="$BIN" >"$out" 2>"$err" &
-pid=$! tries=0
-until grep -q 'openjd_status: tracing' "$out" || [ $tries -gt 6000 ]; do
-    tries=$((tries + 1))
+pid=$!
+until grep -q 'openjd_status: tracing' "$out" || ! kill -0 $pid; do
     sleep 0.1
 done
 # A signal that comes just before Python's main thread begins to wait is not handled until it wakes up.
-tries=0
-until grep -q 'Interruption signal' "$out" || [ $tries -gt 60 ]; do
-    tries=$((tries + 1))
+until grep -q 'Interruption signal' "$out" || ! kill -0 $pid; do
     kill -INT $pid
     sleep 1
 done

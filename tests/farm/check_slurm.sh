@@ -7,7 +7,7 @@
 . "$(dirname "$0")/../cli/lib.sh"
 . "$top/tests/farm/slurm_cluster.sh"
 . "$top/tests/farm/parts.sh"
-limit=${SECONDS_LIMIT:-240}
+limit=${SECONDS_LIMIT:-3600}
 slurm=$top/tools/farm/bisque-slurm
 trap 'stop_cluster; cd / && rm -rf "$work"' EXIT
 

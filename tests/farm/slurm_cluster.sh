@@ -62,7 +62,7 @@ start_cluster()
     for node in n1 n2 n3 n4; do
         start_node $node || return 1
     done
-    wait_until 60 '[ "$(sinfo -h -t idle -o %D 2>/dev/null)" = 4 ]'
+    wait_until 600 '[ "$(sinfo -h -t idle -o %D 2>/dev/null)" = 4 ]'
 }
 
 # steps_of NODE: the processes of jobs on a node, by their parent's name.

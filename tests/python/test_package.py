@@ -32,7 +32,7 @@ def test_scans_in_memory_and_files_give_the_same_chunks(scan, tmp_path):
     expected = (tmp_path / "file.tris").read_bytes()
     padded = np.zeros((len(vertices), 5))
     padded[:, :3] = vertices
-    trimesh = pytest.importorskip("trimesh")
+    import trimesh
     scans = {"arrays": (vertices, faces), "int64": (vertices, faces.astype(np.int64)),
              "rows with gaps": (padded[:, :3], faces), "columns": (np.asfortranarray(vertices), faces),
              "trimesh": trimesh.Trimesh(vertices, faces, process=False),
@@ -87,18 +87,27 @@ def test_errors_say_what_is_wrong(given, error, text, tmp_path):
 
 
 def test_progress_its_exceptions_and_other_threads(scan, tmp_path):
-    seen, ticks, running = [], [], True
+    seen, ticks, at_work, over = [], [], False, False
 
     def tick():
-        while running:
-            ticks.append(time.monotonic())
-            time.sleep(0.005)
+        while not over:
+            if at_work:
+                ticks.append(None)
+            time.sleep(0.001)
+
+    def see(*what):
+        nonlocal at_work
+        at_work = False
+        seen.append(what)
+        at_work = True
 
     thread = threading.Thread(target=tick)
     thread.start()
-    bisque.voxelize(scan, tmp_path / "grid.nvdb", resolution=700,
-                    progress=lambda *what: seen.append(what))
-    running = False
+    for _ in range(100):  # until the other thread ran while the library worked
+        if len(ticks) <= 10:
+            bisque.voxelize(scan, tmp_path / "grid.nvdb", resolution=700, progress=see)
+            at_work = False
+    over = True
     thread.join()
     assert {stage for stage, *_ in seen} >= {"reading", "writing"}
     assert all(0 <= done <= total for _, done, total, _ in seen if total)
@@ -115,13 +124,31 @@ def test_progress_its_exceptions_and_other_threads(scan, tmp_path):
 def test_ctrl_c_stops_a_job(scan, tmp_path):
     write_obj(tmp_path / "scan.obj", *scan)
     code = f"""
-import _thread, bisque, threading
-threading.Timer(0.5, _thread.interrupt_main).start()
+import _thread, threading
+import bisque
+from bisque import core
+
+lib, stopped = core.lib, threading.Event()
+
+class Library:
+    def __getattr__(self, name):
+        return getattr(lib, name)
+
+    def bsq_interrupt(self, ctx):
+        lib.bsq_interrupt(ctx)
+        stopped.set()
+
+def report(*_):  # the work waits until the main thread has stopped it
+    if not stopped.is_set():
+        _thread.interrupt_main()
+        stopped.wait()
+
+core.lib = Library()
 try:
-    bisque.voxelize({str(tmp_path / 'scan.obj')!r}, {str(tmp_path / 'g.nvdb')!r}, resolution=20000)
+    bisque.voxelize({str(tmp_path / 'scan.obj')!r}, {str(tmp_path / 'g.nvdb')!r}, progress=report)
 except KeyboardInterrupt:
     print('interrupted')"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout == "interrupted\n", done.stderr
     assert not (tmp_path / "g.nvdb").exists()
 
@@ -183,7 +210,6 @@ def test_options_follow_the_table(scan, low):
 
 @pytest.mark.parametrize("library", ["uvunwrap", "xatlas"])
 def test_uvs_are_checked(scan, library):
-    pytest.importorskip(library)
     low = bisque.unwrap(bisque.simplify(scan, triangles=900), size=256, library=library)
     report = low.report["uv"]
     assert report["overlapping_samples"] == report["flipped_triangles"] == 0
@@ -199,7 +225,7 @@ def test_uvs_are_checked(scan, library):
 
 def test_a_library_that_does_not_end_is_stopped(scan):
     with pytest.raises(bisque.UnwrapError, match="fewer triangles"):
-        bisque.unwrap(scan, seconds=0.01)
+        bisque.unwrap(scan, seconds=1e-6)
 
 
 def test_distances(scan):
@@ -337,7 +363,7 @@ def test_levels_of_a_scan_in_memory(scan, tmp_path, monkeypatch):
 def test_random_assets_have_the_same_bytes(tmp_path):
     """Random options, the library of UVs among them, give the same files with other threads and
     budgets, of a scan in two files that is sorted before or not. SEED repeats a run."""
-    seed = os.environ.get("SEED", time.strftime("%Y%m%d"))
+    seed = os.environ.get("SEED", "1")
     draw = random.Random(seed)
     print("SEED=" + seed)
     top, bottom = tmp_path / "top.obj", tmp_path / "bottom.obj"

@@ -517,8 +517,10 @@ int main(void)
     if (open_fake() < 0)
         return 1;
     if (!has_kernel()) {
-        puts("1..1\nok 1 - CUDA # skip built without it");
-        return 0;
+        const bool may_lack = !getenv("CI") || !*getenv("CI");
+        printf("1..1\n%s 1 - CUDA%s\n", may_lack ? "ok" : "not ok",
+               may_lack ? " # skip built without clang and nvcc" : ": built without clang and nvcc");
+        return !may_lack;
     }
     return test_run(traced_sheet_setup, traced_sheet_teardown);
 }
