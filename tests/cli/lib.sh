@@ -204,7 +204,8 @@ skip()
     echo "ok $((passed + failed)) - $1 # skip $2"
 }
 
-# lacks NAME WHY: skips a check that needs a package. It fails if CI is set: there, all are installed.
+# lacks NAME WHY: skips a check that needs a package. It fails if CI is set: there, all are
+# installed. Sanitizers keep some drivers and programs from working.
 lacks()
 {
     if [ -n "${CI-}" ] && ! sanitized; then

@@ -74,7 +74,7 @@ ends()
     name=$1 last=$2 before=$(ls -A)
     shift 2
     for signal in TERM INT HUP; do
-        for tenth in 0 2 4 6 8 10; do
+        for tenth in 0 2 8; do
             command="$*, SIG$signal" code=0
             env --default-signal=TERM,INT,HUP "$BIN/$@" >"$out" 2>"$err" &
             sleep "$(echo "0.05 + $tenth * $last / 10" | bc -l)"
@@ -92,14 +92,14 @@ ends()
 
 write_box >box.obj
 ok run bisque-voxelize box.obj -o box.nvdb --resolution 64
-"$TESTS/generate-scan" --triangles 200000 vase -o vase.obj
+if [ -z "${LONG-}" ]; then size=20000 side=128 try=stops; else size=200000 side=1024 try=ends; fi
+"$TESTS/generate-scan" --triangles $((2 * size)) vase -o vase.obj
 "$TESTS/generate-scan" vase-low -o low.obj
 ok run bisque-voxelize vase.obj -o vase.nvdb --resolution 128
 for map in a b; do
     ok run bisque-bake vase.nvdb low.obj --device cpu --size 512 --samples 1 --maps normal -o $map.exr
 done
 
-if [ -z "${LONG-}" ]; then size=20000 side=256 try=stops; else size=200000 side=1024 try=ends; fi
 # of LOOKS: the argument after the name: LOOKS, or the seconds in which signals come.
 of() { if [ $try = stops ]; then echo "$1"; else echo 8; fi; }
 write_polygon $size >polygon.obj
@@ -118,9 +118,9 @@ for surface in nvdb tris; do
         -o 'slow_<MAP>.exr' --device cpu --size $side --samples 8 --memory 1G
 done
 # A plain job of each program.
-$try "a scan" $(of 100) bisque-voxelize vase.obj -o slow.nvdb --no-tris --resolution 256
-$try "a bake" $(of 100) bisque-bake vase.nvdb low.obj -o 'slow_<MAP>.exr' --maps normal,ao --size $((2 * side)) --device cpu
-$try "an exact bake" $(of 100) bisque-bake vase.tris low.obj -o 'slow_<MAP>.png' --maps normal,ao --size $side
-$try "simplifying" $(of 100) bisque-simplify vase.tris -o slow.obj --triangles 20000
+$try "a scan" $(of 64) bisque-voxelize vase.obj -o slow.nvdb --no-tris --resolution 256
+$try "a bake" $(of 100) bisque-bake vase.nvdb low.obj -o 'slow_<MAP>.exr' --maps normal,ao --rays ao=8 --size $side --device cpu
+$try "an exact bake" $(of 100) bisque-bake vase.tris low.obj -o 'slow_<MAP>.png' --maps normal,ao --rays ao=8 --size $side
+$try "simplifying" $(of 100) bisque-simplify vase.tris -o slow.obj --triangles $((size / 5))
 $try "comparing" $(of 4) bisque-compare a.exr b.exr --heatmap slow.png
 finish

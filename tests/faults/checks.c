@@ -1,6 +1,6 @@
-/* checks.c - counts how often a program looks for an interruption, as calls of the kind "check"; see
- * fault.h. The programs in $TESTS/bin are those of the build, linked once more with it. So a test
- * can interrupt, stop or kill a program at the same point of its work on any machine. */
+/* checks.c - counts how often a program looks for an interruption, as calls of the kind "check";
+ * see fault.h. The programs in $TESTS/bin are those of the build, linked once more with it. So a
+ * test can interrupt, stop or kill a program at the same point of its work on any machine. */
 #include <stdatomic.h>
 #include <stdint.h>
 

@@ -47,7 +47,8 @@ __attribute__((destructor)) static void write_count(void)
     const unsigned long all = atomic_load(&calls), before = atomic_load(&sent);
     const char *count = fault_setting("FAULT_COUNT");
     if (*count)
-        append(count, line, snprintf(line, sizeof line, "%lu %lu\n", all, before ? all - before : 0));
+        append(count, line,
+               snprintf(line, sizeof line, "%lu %lu\n", all, before ? all - before : 0));
 }
 
 static void pause_here(void)

@@ -11,8 +11,8 @@
  *               a signal (TERM, KILL ...): the thread gets it before the call;
  *               pause: creates the file FAULT_FLAG and continues when that file is gone
  * FAULT_LOG     file that gets a line for each call that counts
- * FAULT_COUNT   file that gets a line when the program ends: the number of these calls, and how many
- *               of them came after the signal */
+ * FAULT_COUNT   file that gets a line when the program ends: the number of these calls, and how
+ * many of them came after the signal */
 #ifndef TESTS_FAULTS_FAULT_H
 #define TESTS_FAULTS_FAULT_H
 

@@ -409,7 +409,8 @@ CONTEXT_TEST(test_emit_overlaps_with_work, 2, 0)
     assert_int_equal(bsq_pipeline_run(ctx, &pipeline), 0);
 }
 
-/* Returns whether all threads of this process but the calling one sleep, at least `least` of them. */
+/* Returns whether all threads of this process but the calling one sleep, at least `least` of them.
+ */
 static bool others_sleep(unsigned least)
 {
     DIR *threads = opendir("/proc/self/task");
@@ -420,8 +421,7 @@ static bool others_sleep(unsigned least)
         if (atoi(entry->d_name) <= 0 || atoi(entry->d_name) == gettid())
             continue;
         FILE *file = fopen(path, "r");
-        const char *name_end =
-            file && fgets(stat, sizeof stat, file) ? strrchr(stat, ')') : NULL;
+        const char *name_end = file && fgets(stat, sizeof stat, file) ? strrchr(stat, ')') : NULL;
         if (file)
             fclose(file);
         const bool sleeps = name_end && strncmp(name_end, ") S", 3) == 0;

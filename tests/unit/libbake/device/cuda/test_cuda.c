@@ -519,7 +519,8 @@ int main(void)
     if (!has_kernel()) {
         const bool may_lack = !getenv("CI") || !*getenv("CI");
         printf("1..1\n%s 1 - CUDA%s\n", may_lack ? "ok" : "not ok",
-               may_lack ? " # skip built without clang and nvcc" : ": built without clang and nvcc");
+               may_lack ? " # skip built without clang and nvcc"
+                        : ": built without clang and nvcc");
         return !may_lack;
     }
     return test_run(traced_sheet_setup, traced_sheet_teardown);
