@@ -338,7 +338,8 @@ int pthread_create(pthread_t *thread, const pthread_attr_t *attributes, void *(*
 int clock_gettime(clockid_t id, struct timespec *out)
 {
     static atomic_long looks;
-    const long jump = atol(fault_setting("FAULT_CLOCK")), speed = atol(fault_setting("FAULT_SPEED"));
+    const long jump = atol(fault_setting("FAULT_CLOCK")),
+               speed = atol(fault_setting("FAULT_SPEED"));
     const int result = (int)syscall(SYS_clock_gettime, id, out);
     if (id == CLOCK_REALTIME)
         out->tv_sec += atomic_fetch_add(&looks, 1) % 2 ? jump : -jump;
