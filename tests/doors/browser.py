@@ -74,7 +74,7 @@ class Browser:
         self.problems = []
         self.call("Page.navigate", url="file://" + os.path.abspath(path))
         return self.js("""new Promise((done, fail) => {
-            const end = Date.now() + 60000;
+            const end = Date.now() + 600000;
             const look = () => document.body?.dataset.ready ? done(document.body.dataset.ready) :
                 Date.now() > end ? fail(Error("not ready: " + location)) : setTimeout(look, 50);
             look(); })""")

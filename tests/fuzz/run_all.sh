@@ -15,7 +15,7 @@ fuzz()
     [ "$name" != compressed ] || block=30000 all=6000
     mkdir -p "build/fuzz/corpus/$name"
     if ! "build/fuzz/tests/fuzz-$name" -max_total_time="$seconds" -print_final_stats=1 \
-        -timeout=20 -malloc_limit_mb=$block -rss_limit_mb=$all $([ ! -e "$dict" ] || echo "-dict=$dict") \
+        -timeout=120 -malloc_limit_mb=$block -rss_limit_mb=$all $([ ! -e "$dict" ] || echo "-dict=$dict") \
         -artifact_prefix="$failures/$name-" "build/fuzz/corpus/$name" "tests/fuzz/corpus/$name" \
         >"$log" 2>&1; then
         echo "fuzz-$name: FAILED, see $log and $failures/$name-*:"

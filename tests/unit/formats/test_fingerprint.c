@@ -12,16 +12,15 @@
 #include <unistd.h>
 
 static const char name[] = "input.file";
-static time_t later; /* how far the clock is ahead of the file system's */
+static time_t later; /* how long ago the file was changed, by the clock that follows */
 
 time_t time(time_t *out)
 {
-    struct timespec now;
-    clock_gettime(CLOCK_REALTIME, &now);
-    now.tv_sec += later;
+    struct stat info;
+    const time_t now = stat(name, &info) == 0 ? info.st_ctim.tv_sec + later : 0;
     if (out)
-        *out = now.tv_sec;
-    return now.tv_sec;
+        *out = now;
+    return now;
 }
 
 /* Writes a file, again and again until the system gives it another time of change. */
