@@ -278,7 +278,7 @@ check-arm64: all $(generator)
 	@NATIVE=$(BUILD)/bin BIN=$(emulated)/bin TESTS=$(emulated)/tests tests/run.sh \
 	    tests/cross/check_bytes.sh $(emulated_units:$(BUILD)/%=$(emulated)/%)
 
-## check-long: check, check-python, check-arm64, and many more rounds of the randomized tests
+## check-long: check, check-python, check-arm64, many more rounds of random tests, and one by the clock
 .PHONY: check-long
 check-long: check
 	@$(MAKE) --no-print-directory check-python

@@ -428,7 +428,8 @@ static bool others_sleep(unsigned least)
         asleep += sleeps;
         awake += !sleeps;
     }
-    closedir(threads);
+    if (threads)
+        closedir(threads);
     return asleep >= least && awake == 0;
 }
 
