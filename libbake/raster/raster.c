@@ -294,7 +294,8 @@ static int sort_triangles(struct bake_raster *raster, uint64_t *cursors)
             BSQ_TRY(bsq_check(raster->ctx));
         if (!overlapped_patches(raster, t, &patches))
             continue;
-        for (uint32_t y = patches.begin_y; y < patches.end_y; y++)
+        for (uint32_t y = patches.begin_y; y < patches.end_y; y++) {
+            BSQ_TRY(bsq_check(raster->ctx)); /* first entries touch all memory of the lists */
             for (uint32_t x = patches.begin_x; x < patches.end_x; x++) {
                 if (!is_selected(raster, x, y))
                     continue;
@@ -302,6 +303,7 @@ static int sort_triangles(struct bake_raster *raster, uint64_t *cursors)
                 if (raster->triangles)
                     raster->triangles[entry] = (uint32_t)t;
             }
+        }
     }
 done:
     return status;

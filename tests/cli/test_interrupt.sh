@@ -106,7 +106,7 @@ write_polygon $size >polygon.obj
 write_materials $size
 write_covering $((size / 5)) >covering.obj
 
-# Every loop looks at least once for 64 corners, materials or triangles.
+# Every loop looks at least once for 64 corners or materials, or for a triangle that covers the map.
 $try "one polygon as a scan" $(of $((size / 64))) bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 --no-tris
 $try "one polygon in little memory" $(of $((size / 64))) bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 \
     --no-tris --threads 1 --memory 80M
@@ -114,7 +114,7 @@ $try "many materials" $(of $((size / 64))) bisque-voxelize materials.obj -o slow
 $try "one polygon as the low-poly mesh" $(of $((size / 64))) bisque-bake box.nvdb polygon.obj -o 'slow_<MAP>.exr' \
     --device cpu --size $((2 * side)) --front 4 --back 4 --two-sided --samples 1
 for surface in nvdb tris; do
-    $try "triangles over the whole map, .$surface" $(of $((size / 5 / 64))) bisque-bake box.$surface covering.obj --as-is \
+    $try "triangles over the whole map, .$surface" $(of $((size / 5))) bisque-bake box.$surface covering.obj --as-is \
         -o 'slow_<MAP>.exr' --device cpu --size $side --samples 8 --memory 1G
 done
 # A plain job of each program.
