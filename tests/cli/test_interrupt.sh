@@ -77,7 +77,7 @@ ends()
         for tenth in 0 2 8; do
             command="$*, SIG$signal" code=0
             env --default-signal=TERM,INT,HUP "$BIN/$@" >"$out" 2>"$err" &
-            sleep "$(echo "0.05 + $tenth * $last / 10" | bc -l)"
+            sleep "$(awk "BEGIN { print 0.05 + $tenth * $last / 10 }")"
             sent=$(date +%s%N)
             kill -$signal $! 2>/dev/null
             wait $! || code=$?
