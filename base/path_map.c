@@ -150,23 +150,3 @@ const char *bsq_map_path(struct bsq_ctx *ctx, const char *name)
     pthread_mutex_unlock(&ctx->members_lock);
     return out;
 }
-
-int bsq_path_rules_text(struct bsq_ctx *ctx, char **out)
-{
-    size_t size;
-    FILE *stream = NULL;
-    bool failed = false;
-    *out = NULL;
-    pthread_mutex_lock(&ctx->members_lock);
-    const struct bsq_path_map *map = ctx->members[BSQ_PATH_MAP].object;
-    if (map && map->rule_count > 0)
-        failed = !(stream = open_memstream(out, &size));
-    for (size_t i = 0; stream && i < map->rule_count; i++) {
-        const struct rule *rule = &map->rules[i];
-        fprintf(stream, "%d %zu %s %zu %s\n", (int)rule->format, rule->length, rule->source,
-                strlen(rule->destination), rule->destination);
-    }
-    pthread_mutex_unlock(&ctx->members_lock);
-    failed |= stream && fclose(stream) != 0;
-    return failed ? bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "rules for paths") : 0;
-}

@@ -30,10 +30,6 @@ int bsq_add_path_rule(struct bsq_ctx *ctx, enum bsq_path_format format, const ch
  * Thread-safe. */
 const char *bsq_map_path(struct bsq_ctx *ctx, const char *name);
 
-/** Sets *out to a text that tells the rules of a context from others, for the caller to free; NULL
- * if there are none. Errors: BSQ_ENOMEM. */
-int bsq_path_rules_text(struct bsq_ctx *ctx, char **out);
-
 #ifdef __cplusplus
 }
 #endif

@@ -7,7 +7,6 @@
 #include "base/context.h"
 #include "base/job_files.h"
 #include "libvoxel/chunk/chunk_writer.h"
-#include "libvoxel/job_note.h"
 #include "libvoxel/partition/partition.h"
 #include "libvoxel/sort_limits.h"
 #include "libvoxel/temp_tris.h"
@@ -183,24 +182,9 @@ static void report_scan(const struct scan *scan, const struct vox_sort_options *
             add_name(report->unkept_channels, bsq_channel_at(i)->name);
 }
 
-/* Notes the images that the chunk file will hold. */
-static int note_images(const struct scan *scan, struct job_note *note)
-{
-    int status = 0;
-    for (uint32_t i = 0; i < scan->material_count; i++)
-        for (uint32_t c = 0; c <= scan->channel_count; c++) {
-            const struct fmt_tris_material *m = &scan->materials[i];
-            const char *path = c == 0 ? m->texture_path : m->sources[c - 1].texture_path;
-            if (path)
-                BSQ_TRY(vox_note_add_image(note, path));
-        }
-done:
-    return status;
-}
-
 static int read_scan(struct scan *scan, const struct sort_limits *limits,
-                     const struct vox_sort_options *options, struct job_note *note,
-                     struct vox_sort_report *report, struct partition *out)
+                     const struct vox_sort_options *options, struct vox_sort_report *report,
+                     struct partition *out)
 {
     struct fmt_mesh_reader *reader = NULL;
     struct bsq_ctx *ctx = scan->ctx;
@@ -226,11 +210,8 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     BSQ_TRY(check_disk(ctx, &estimate, limits, options->tris_path));
     BSQ_TRY(vox_textures_preview(ctx, reader, options->texture_path, estimate.texcoords > 0,
                                  &textures));
-    BSQ_TRY(read_passes(scan, reader, options, estimate.faces_come_last && !limits->two_passes,
-                        &textures, out));
-    BSQ_TRY(vox_note_add_libraries(note, reader));
-    if (options->embed_textures)
-        status = note_images(scan, note);
+    status = read_passes(scan, reader, options, estimate.faces_come_last && !limits->two_passes,
+                         &textures, out);
 done:
     bsq_free(ctx, placements);
     vox_textures_free(ctx, &textures);
@@ -241,15 +222,6 @@ done:
 }
 
 /* ---- sorting ---- */
-
-/* Opens the chunk file that an earlier job completed. */
-static int take_chunks(struct bsq_ctx *ctx, const struct vox_sort_options *options)
-{
-    bsq_note_written(ctx, options->tris_path);
-    return options->temp_tris ? bsq_file_open_as(ctx, options->tris_path, BSQ_OPEN_OTHER,
-                                                 &options->temp_tris->file)
-                              : 0;
-}
 
 /* Returns whether the chunk file gets the name tris_path. */
 static bool names_tris(const struct vox_sort_options *options)
@@ -359,7 +331,6 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
 {
     struct scan scan;
     struct partition partition = {0};
-    struct job_note note = {0};
     uint64_t temp_before = bsq_temp_bytes(ctx);
     if (bsq_clear_report(ctx, "vox_sort_report", report, sizeof *report) < 0)
         return BSQ_EUSAGE;
@@ -369,17 +340,9 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
     BSQ_TRY(begin_scan(&scan, ctx, options, limits));
     BSQ_TRY(check_channels(ctx, options));
     BSQ_TRY(names_tris(options) ? bsq_note_output(ctx, options->tris_path) : 0);
-    BSQ_TRY(vox_note_open(ctx, options, &note));
-    BSQ_TRY(vox_note_check(&note, options->note, &report->resumed));
-    if (report->resumed)
-        BSQ_TRY(take_chunks(ctx, options));
-    else {
-        BSQ_TRY(read_scan(&scan, limits, options, &note, report, &partition));
-        BSQ_TRY(sort_scan(&scan, options, &partition, report));
-        status = vox_note_write(&note);
-    }
+    BSQ_TRY(read_scan(&scan, limits, options, report, &partition));
+    status = sort_scan(&scan, options, &partition, report);
 done:
-    vox_note_free(&note);
     vox_partition_free(&scan, &partition);
     vox_scan_free(&scan);
     report->temp_bytes = bsq_temp_bytes(ctx) - temp_before;

@@ -62,17 +62,6 @@ struct vox_channel {
     bool optional; /**< Keep the channel only if some material has a value or a texture of it. */
 };
 
-/** How vox_sort() uses the note beside the chunk file, tris_path + ".job", which says what it was
- * made from. It lets a job that was interrupted after sorting go on with the chunk file. */
-enum vox_note {
-    VOX_NOTE_NONE,  /**< There is none. */
-    VOX_NOTE_WRITE, /**< Sorts and writes the note. Jobs that read pipes have none. */
-    VOX_NOTE_REUSE, /**< Keeps the chunk file if sorting would write the same one again; sorts and
-                         writes the note otherwise. */
-    VOX_NOTE_RESUME /**< The same, but refuses a chunk file that was made from other inputs
-                         (BSQ_EUSAGE) or before an input has changed (BSQ_EDATA), and pipes. */
-};
-
 /** What vox_sort() reads and writes. The caller owns all strings and handles. */
 struct vox_sort_options {
     size_t size; /**< Of the structure, see bsq_check_size(). */
@@ -80,7 +69,7 @@ struct vox_sort_options {
      * standard input, is read once. */
     const char *const *scan_paths;
     /** One for each mesh file that is read by a callback, NULL for others; its path is then its
-     * name in messages. As pipes, they have no note. NULL: all are files. */
+     * name in messages. NULL: all are files. */
     const struct bsq_source *const *sources;
     /** One for each mesh file; NULL: all stay in place. */
     const struct vox_placement *placements;
@@ -104,7 +93,6 @@ struct vox_sort_options {
     bool tells_unkept;
     /** Copy the images of textures into the chunk file tris_path, except for textures of tiles. */
     bool embed_textures;
-    enum vox_note note; /**< Use of the note beside the chunk file. */
 };
 
 /** Bytes of a list of names in a report. What does not fit is left out. */
@@ -112,12 +100,11 @@ enum { VOX_NAMES_BYTES = 512 };
 
 /** What vox_sort() did. */
 struct vox_sort_report {
-    size_t size;         /**< Of the structure, see bsq_clear_report(). */
-    bool resumed;        /**< The chunk file was complete; nothing was read, and the rest is 0. */
-    uint64_t bytes_read; /**< Bytes of the mesh files, unpacked. */
-    uint64_t vertices;   /**< Vertices of the scan. */
-    uint64_t faces;      /**< Faces of the scan, polygons included. */
-    uint64_t triangles;  /**< Triangles in the chunk file. */
+    size_t size;                   /**< Of the structure, see bsq_clear_report(). */
+    uint64_t bytes_read;           /**< Bytes of the mesh files, unpacked. */
+    uint64_t vertices;             /**< Vertices of the scan. */
+    uint64_t faces;                /**< Faces of the scan, polygons included. */
+    uint64_t triangles;            /**< Triangles in the chunk file. */
     uint64_t degenerate_triangles; /**< Triangles without area; left out. */
     uint64_t short_faces;          /**< Faces with fewer than three corners; left out. */
     uint64_t broken_faces; /**< Faces with a vertex whose position is not finite; left out. */
@@ -161,9 +148,6 @@ int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
  * Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_ENOMEM, BSQ_EIO, BSQ_EINTR. */
 int vox_parse(struct bsq_ctx *ctx, const struct vox_sort_options *options,
               struct vox_sort_report *report);
-
-/** Removes the note of a chunk file, when the job that needed it is finished. */
-void vox_sort_finish(const char *tris_path);
 
 /** Returns the smallest budget in bytes that vox_sort() and vox_voxelize() accept, for a number of
  * threads. */

@@ -94,7 +94,6 @@ static int check_memory(struct cli *cli)
 
 /* ---- the work ---- */
 
-/* Sorts the meshes, unless an earlier run did so. */
 static int sort_scan(struct voxelize_job *job)
 {
     struct voxelize_arguments *arguments = job->arguments;
@@ -106,12 +105,6 @@ static int sort_scan(struct voxelize_job *job)
     options->temp_tris = job->temp_tris;
     options->keeps_tris = !job->temporary_tris;
     options->check_textures = true;
-    /* A temporary chunk file is always removed, so such a job cannot be resumed. */
-    options->note = job->temporary_tris ? VOX_NOTE_NONE
-                    : arguments->resume ? VOX_NOTE_RESUME
-                    : arguments->sort_only && !arguments->force && !job->cli->strict
-                        ? VOX_NOTE_REUSE
-                        : VOX_NOTE_WRITE;
     status = vox_sort(ctx, options, &job->sort);
 done:
     return status;
@@ -125,6 +118,28 @@ static int make_grid(struct voxelize_job *job)
     options->part_count = job->scans.chunk_count;
     options->temp_tris = job->temp_tris;
     return vox_voxelize(job->cli->ctx, options, &job->grid);
+}
+
+/* Adds the command that makes the grid from the chunk file, which is complete, to the message of an
+ * interruption. */
+static void tell_how_to_go_on(const struct voxelize_job *job)
+{
+    char *inputs = strdup(job->tris_path);
+    for (uint32_t i = 0; i < job->scans.chunk_count; i++) {
+        char *more = NULL;
+        if (inputs && asprintf(&more, "%s %s", inputs, job->scans.chunks[i]) < 0)
+            more = NULL;
+        free(inputs);
+        inputs = more;
+    }
+    if (inputs) {
+        bsq_clear_error(job->cli->ctx);
+        bsq_fail(job->cli->ctx, BSQ_EINTR,
+                 "interrupted; \"bisque-voxelize %s -o %s\" with the options of the grid goes on "
+                 "from there",
+                 inputs, job->arguments->grid.grid_path);
+    }
+    free(inputs);
 }
 
 static int do_work(struct voxelize_job *job)
@@ -147,9 +162,9 @@ static int do_work(struct voxelize_job *job)
         BSQ_TRY(sort_scan(job));
     if (arguments->sort_only)
         return 0;
-    BSQ_TRY(make_grid(job));
-    if (job->scans.mesh_count > 0 && !job->temporary_tris)
-        vox_sort_finish(job->tris_path);
+    status = make_grid(job);
+    if (status == BSQ_EINTR && job->scans.mesh_count > 0 && !job->temporary_tris)
+        tell_how_to_go_on(job);
 done:
     return status;
 }
@@ -168,10 +183,7 @@ static int run(struct voxelize_job *job)
     BSQ_TRY(note_images(cli->ctx, arguments));
     BSQ_TRY(recognise_inputs(job));
     BSQ_TRY(do_work(job));
-    if (arguments->sort_only && job->sort.resumed)
-        status = cli_say_kept(cli, job->tris_path, "this chunk file");
-    else
-        status = voxelize_report_print(job);
+    status = voxelize_report_print(job);
 done:
     return status;
 }

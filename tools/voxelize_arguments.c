@@ -65,10 +65,6 @@ static const struct bsq_option rows[] = {
              "copy the scan's textures into the chunk file, which can then move"),
      MEMBER(FLAG, sort.embed_textures), .needs = MESHES},
     {BSQ_ROW("no-tris", NULL, "do not keep the chunk file"), MEMBER(FLAG, no_tris), .needs = GRID},
-    {BSQ_ROW("resume", NULL, "continue the same job from its chunk file, if that is complete"),
-     MEMBER(FLAG, resume), .needs = MESHES},
-    {BSQ_ROW("force", NULL, "with a chunk file as output: make it again if it is there already"),
-     MEMBER(FLAG, force), .needs = MESHES},
     {BSQ_ROW("parse-only", NULL, "only read the mesh files, to measure the reader"),
      MEMBER(FLAG, parse_only)},
     {BSQ_ROW("info", NULL, "print what is in FILES (meshes, .tris, .nvdb), do nothing else"),
@@ -297,11 +293,6 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
     if (arguments->sort_only && given_option(arguments, GRID))
         return cli_usage(cli, "%s: a chunk file is not a grid: leave out --%s", output,
                          given_option(arguments, GRID));
-    if (arguments->force && !arguments->sort_only)
-        return cli_usage(cli, "--force needs a chunk file as output");
-    if (arguments->resume && (arguments->no_tris || arguments->parse_only))
-        return cli_usage(cli, "--resume continues from a chunk file: leave out %s",
-                         arguments->no_tris ? "--no-tris" : "--parse-only");
     return 0;
 }
 
@@ -329,9 +320,8 @@ int voxelize_arguments_check_part(struct cli *cli, const struct voxelize_argumen
                          ", because its normals contain it if it has one",
                          part);
     if (beside_meshes && !arguments->tris &&
-        (arguments->resume || arguments->sort.channel_count > 0 || arguments->all_channels))
-        return cli_usage(cli, "%s: beside chunk files, meshes are kept with --tris only",
-                         arguments->resume ? "--resume" : "--channels");
+        (arguments->sort.channel_count > 0 || arguments->all_channels))
+        return cli_usage(cli, "--channels: beside chunk files, meshes are kept with --tris only");
     return 0;
 }
 

@@ -14,7 +14,7 @@ struct voxelize_arguments {
     const char *const *inputs;
     uint32_t input_count;
     const char *tris;
-    bool no_tris, parse_only, resume, force, info;
+    bool no_tris, parse_only, info;
     bool sort_only;                     /* the output is a chunk file: no grid is made */
     struct vox_channel *channels;       /* those of sort; the names are owned */
     char *channel_list;                 /* those of grid */

@@ -272,7 +272,7 @@ def bisque(program, *arguments):
 
 def bake(path, out, half):
     """Returns Bisque's maps by name, and what it says is lost."""
-    _, text = bisque("voxelize", path, "--channels", "all", "--force", "-o", out + ".tris")
+    _, text = bisque("voxelize", path, "--channels", "all", "-o", out + ".tris")
     maps = ["normal", "position", "mask"]
     kept = [line for line in text.splitlines() if line.startswith("kept:")]
     _, about = bisque("voxelize", "--info", out + ".tris")

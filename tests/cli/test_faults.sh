@@ -20,7 +20,7 @@ torture()
 {
     command="torture $* $job_outputs -- $job_command" code=0
     # Both are split into words on purpose: no name in them has a space.
-    "$TESTS/torture" -s "$SEED" ${job_note:+-r "$job_note"} "$@" $job_outputs -- $job_command >"$out" 2>"$err" || code=$?
+    "$TESTS/torture" -s "$SEED" $job_alone "$@" $job_outputs -- $job_command >"$out" 2>"$err" || code=$?
     check "$(sed -n '$s/^\(not \)*ok - //p' "$out")" "$code"
     SEED=$((SEED + 1))
 }
@@ -28,7 +28,7 @@ torture()
 # job NAME OUTPUT... -- PROGRAM ARGUMENT...
 job()
 {
-    job_outputs='' job_command='' job_note=''
+    job_outputs='' job_command='' job_alone=''
     while [ "$1" != -- ]; do
         job_outputs="$job_outputs $1"
         shift
@@ -95,7 +95,7 @@ small="--size 32 --samples 1 --threads 2"
 # ---- each tool, every call ----
 
 job a.tris a.nvdb -- bisque-voxelize scan.obj -o a.nvdb --resolution 32 --threads 2
-job_note=a.tris.job
+job_alone=-e
 writes_fail
 room_fails
 reads_fail
@@ -131,7 +131,7 @@ killed
 
 "$TESTS/generate-scan" --triangles 1600000 --colors --shuffle 7 vase -o large.obj
 job a.tris a.nvdb -- bisque-voxelize large.obj -o a.nvdb --resolution 64 --threads 1 --memory 52M
-job_note=a.tris.job
+job_alone=-e
 torture -m 5 ENOSPC
 torture -m 4 -c read EIO
 torture -m 3 kill-at
@@ -186,7 +186,7 @@ together 1 yes # all the time with a name
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >other.obj
 ok run bisque-voxelize other.obj -o other.nvdb --resolution 4
 rm -f flag
-LD_PRELOAD=$FAULTS FAULT_UNDER=$(pwd -P) FAULT_CALLS=name FAULT_PATH=a.tris.job FAULT_AT=1 FAULT_DO=pause FAULT_FLAG=flag \
+LD_PRELOAD=$FAULTS FAULT_UNDER=$(pwd -P) FAULT_CALLS=sync FAULT_AT=3 FAULT_DO=pause FAULT_FLAG=flag \
     "$BIN/bisque-voxelize" scan.obj -o a.nvdb --resolution 32 >"$out" 2>"$err" &
 wait_for flag
 [ -s a.tris ] && mv other.tris a.tris

@@ -68,8 +68,6 @@ PYTHON
     for jump in 86400 -86400; do
         ok jumping bisque-voxelize --resolution 8 low.obj -o clock.nvdb --tris clock.tris
         same clock.nvdb scan.nvdb
-        ok jumping bisque-voxelize --resolution 8 low.obj -o clock.nvdb --tris clock.tris --resume
-        same clock.nvdb scan.nvdb
         touch -d "@$(($(date +%s) + jump))" scan.nvdb
         ok jumping bisque-bake --size 32 scan.nvdb low.obj -o 'two_<MAP>.exr' --maps normal,mask \
             --tasks 2 --plan p.json

@@ -73,14 +73,6 @@ $vox box.tris -o box_color.png
 refused 64 "$p box_color.png: this output would overwrite $here/box_color.png, the texture that box.tris names"
 unchanged
 
-# The note of a job is an output too.
-cp box.obj a.tris.job
-start=$(ls -A)
-$vox a.tris.job -o a.nvdb
-refused 64 "$p a.tris.job: this output would overwrite the scan"
-unchanged
-rm a.tris.job
-
 # ---- images that are no images, and what a material library may name ----
 
 rm -f hostile.obj

@@ -155,15 +155,6 @@ grep -q '^2 files: .* 2,320 triangles' "$out" && grep -q '^kept.tris: ' "$out"
 check "the report tells which files were sorted" $?
 same two.nvdb other.nvdb
 same bc.tris kept.tris
-# A job that is stopped after sorting goes on from its part.
-rm kept.tris
-command='bisque-voxelize with a limit of files' code=0
-(ulimit -f 200 && exec "$BIN/bisque-voxelize" --resolution 300 b.obj a.tris c.obj -o resumed.nvdb \
-    --tris kept.tris) >"$out" 2>"$err" || code=$?
-code 74
-ok $vox b.obj a.tris c.obj -o resumed.nvdb --tris kept.tris --resume --json
-json '.resumed and .scan == null and .tris_path == "kept.tris"'
-same two.nvdb resumed.nvdb
 $vox n.tris b.obj -o y.nvdb
 refused_like 65 "^$p n.tris has normals, .* has none: such parts cannot be one scan\$"
 while read -r options; do
@@ -173,8 +164,6 @@ while read -r options; do
     read -r message
     err "$p $message"
 done <<'CASES'
--o y.nvdb --resume
---resume: beside chunk files, meshes are kept with --tris only
 -o y.nvdb --channels roughness
 --channels: beside chunk files, meshes are kept with --tris only
 -o y.nvdb --scale 2

@@ -123,21 +123,9 @@ refused 64 "$p --scale is given 2 times for 3 files: give it once, or once for e
 $vox 1.obj --translate 1,2,3 --translate 4,5,6 -o bad.nvdb
 refused 64 "$p --translate is given 2 times for 1 file: give it once, or once for each file"
 
-# ---- resuming needs the same place ----
-
-run bisque-voxelize plain.obj --scale 4 --voxel-size 1e-7 -o job.nvdb
-holds "the note is there" [ -e job.tris.job ]
-run bisque-voxelize plain.obj --scale 2 --resolution 40 -o job.nvdb --resume
-refused_like 64 "^$p job.tris was made from scale 4, up unchanged, translate 0,0,0, not from scale 2, up unchanged, .*: this job cannot be resumed\$"
-run bisque-voxelize plain.obj --scale 4 --up z --resolution 40 -o job.nvdb --resume
-refused_like 64 " not from scale 4, up z, translate 0,0,0: this job cannot be resumed\$"
-run bisque-voxelize plain.obj --resolution 40 -o job.nvdb --resume
-code 64
-ok run bisque-voxelize plain.obj --scale 4 --resolution 40 -o job.nvdb --resume --json
-json .resumed
-same scaled.nvdb job.nvdb
-
 # ---- misuse ----
+
+run bisque-voxelize plain.obj -o job.tris
 
 while read -r options; do
     $vox plain.obj $options -o bad.nvdb

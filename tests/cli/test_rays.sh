@@ -100,7 +100,7 @@ wrong()
 ids="--device cpu --size 128 --samples 1 --padding 0 --maps id"
 for scene in spheres figure fingers; do
     holds "the scene is written" python3 "$top/tests/cli/layers.py" write $scene
-    ok run bisque-voxelize ${scene}_low.obj -o own.tris --channels id --id object --force
+    ok run bisque-voxelize ${scene}_low.obj -o own.tris --channels id --id object
     ok $bake own.tris ${scene}_low.obj $ids -o $scene.png --front 1e-4 --back 1e-4
     ok run bisque-voxelize $scene.obj -o $scene.nvdb --channels id --id object --resolution 512
     wrong $scene 0 0 $scene.tris

@@ -242,15 +242,6 @@ def without_options_without_effect(runner, job, base, rng):
 # ---- ways to make a grid ----
 
 
-def resumed(runner, job, base, rng):
-    if base.code != 0 or trials.value("no-tris", job.given) is not None:
-        return False
-    job.run(runner)
-    os.remove(os.path.join(runner.top, runner.way, job.name))
-    code, _ = job.run(runner, ["--resume"])
-    expect_same(code, job.files(runner), base)
-
-
 def from_chunks(runner, job, base, rng):
     """Makes the grid again from its chunk file, which has what options did that are then refused."""
     channels = trials.value("channels", job.given) or ""
@@ -396,7 +387,7 @@ def compared(runner, job, base, rng):
 # How often each way runs.
 WAYS = {
     Grid: [(other_threads, 0.4), (other_budget, 0.4), (other_order, 0.2), (without_options_without_effect, 0.3),
-           (resumed, 0.1), (from_chunks, 0.4), (through_a_pipe, 0.2)],
+           (from_chunks, 0.4), (through_a_pipe, 0.2)],
     Simplification: [(other_threads, 0.8), (other_budget, 0.4), (other_order, 0.3),
                      (without_options_without_effect, 0.5), (of_chunks, 0.5), (measured, 0.3)],
     Bake: [(other_threads, 0.6), (other_budget, 0.4), (other_order, 0.4), (without_options_without_effect, 1),

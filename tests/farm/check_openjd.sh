@@ -127,10 +127,6 @@ same parts.nvdb parts/scan.nvdb
 for map in normal height color; do
     same part_$map.1001.exr parts/map_$map.1001.exr
 done
-openjd run parts.chunks.yaml --step Sort -tp Part=3-5 -p Root=. -p List=parts.txt -p LastPart=7 -p Low=low.obj -p OutputDir=parts \
-    -p BinDir="$BIN"
-[ "$(grep -c 'this chunk file is complete already, kept' "$out")" -eq 3 ]
-check "parts that are sorted are kept" $?
 command="openjd run with a part too few" code=0
 "$openjd" run "$farm/parts.openjd.yaml" --step Sort -p Root=. -p List=parts.txt -p LastPart=6 -p Low=low.obj -p OutputDir=few \
     -p BinDir="$BIN" >"$out" 2>"$err" || code=$?

@@ -38,31 +38,4 @@ CONTEXT_TEST(test_formats, 1, 0)
     expect(ctx, "etc/a", "etc/a");
 }
 
-/* Returns a new context's text for one rule. */
-static char *text_of(enum bsq_path_format format, const char *source, const char *destination)
-{
-    struct bsq_ctx *ctx = test_context(1, 0);
-    char *text;
-    assert_int_equal(bsq_path_rules_text(ctx, &text), 0);
-    assert_null(text);
-    assert_int_equal(bsq_add_path_rule(ctx, format, source, destination), 0);
-    assert_int_equal(bsq_path_rules_text(ctx, &text), 0);
-    assert_non_null(text);
-    test_context_end(ctx);
-    return text;
-}
-
-TEST(test_texts_tell_rules_apart)
-{
-    char *texts[] = {text_of(BSQ_PATH_POSIX, "/a", "/b"), text_of(BSQ_PATH_WINDOWS, "/a", "/b"),
-                     text_of(BSQ_PATH_POSIX, "/a /", "b"), text_of(BSQ_PATH_POSIX, "/b", "/a"),
-                     text_of(BSQ_PATH_POSIX, "/a", "/b")};
-    for (int i = 0; i < 4; i++)
-        for (int j = 0; j < i; j++)
-            assert_string_not_equal(texts[i], texts[j]);
-    assert_string_equal(texts[0], texts[4]);
-    for (int i = 0; i < 5; i++)
-        free(texts[i]);
-}
-
 RUN_TESTS(NULL, NULL)

@@ -98,10 +98,10 @@ static void pack_inputs(void)
 static bool expected_name(const char *name)
 {
     static const char *const names[] = {
-        ".",         "..",           "scan.obj",    "scan.mtl",    "low.obj",       "scan.tris",
-        "scan.nvdb", "g_normal.exr", "g_color.exr", "g_mask.exr",  "a_normal.exr",  "heat.png",
-        "hist.png",  "preview.png",  "out.tris",    "out.nvdb",    "scan.tris.job", "scan.ply",
-        "faces.ply", "scan.stl",     "scan.obj.gz", "scan.ply.zst"};
+        ".",         "..",           "scan.obj",    "scan.mtl",   "low.obj",      "scan.tris",
+        "scan.nvdb", "g_normal.exr", "g_color.exr", "g_mask.exr", "a_normal.exr", "heat.png",
+        "hist.png",  "preview.png",  "out.tris",    "out.nvdb",   "scan.ply",     "faces.ply",
+        "scan.stl",  "scan.obj.gz",  "scan.ply.zst"};
     for (unsigned i = 0; i < sizeof names / sizeof *names; i++)
         if (strcmp(names[i], name) == 0)
             return true;
@@ -206,27 +206,6 @@ static int sort_to(struct bsq_ctx *ctx, const char *tris_path)
 static int sort(struct bsq_ctx *ctx)
 {
     return sort_to(ctx, "out.tris");
-}
-
-/* Records a job and resumes it. */
-static int note(struct bsq_ctx *ctx)
-{
-    const char *path = "scan.obj";
-    struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
-                                       .scan_paths = &path,
-                                       .scan_count = 1,
-                                       .tris_path = "scan.tris"};
-    struct vox_sort_report report = {.size = sizeof report};
-    int status = 0;
-    for (int i = 0; i < 2 && status == 0; i++) {
-        options.note = i == 0 ? VOX_NOTE_WRITE : VOX_NOTE_RESUME;
-        status = vox_sort(ctx, &options, &report);
-    }
-    if (status == 0) {
-        assert_true(report.resumed);
-        vox_sort_finish("scan.tris");
-    }
-    return status;
 }
 
 static int voxelize_to(struct bsq_ctx *ctx, const char *grid_path)
@@ -395,7 +374,6 @@ static void exhaust(int (*job)(struct bsq_ctx *), uint64_t stride)
 EXHAUST(parse, 1)
 EXHAUST(load_mesh, 1)
 EXHAUST(sort, 1)
-EXHAUST(note, 1)
 EXHAUST(voxelize, 1)
 EXHAUST(voxelize_parts, 1)
 EXHAUST(verify_tris, 1)

@@ -205,7 +205,7 @@ static int give(void *user, void *to, uint64_t count, uint64_t offset)
     return offset + count > given->limit ? BSQ_EIO : 0;
 }
 
-static int sort_given(struct sort_fixture *f, struct given *given, enum vox_note note, size_t size)
+static int sort_given(struct sort_fixture *f, struct given *given, size_t size)
 {
     const struct bsq_source source = {
         .size = sizeof source, .bytes = strlen(given->text), .read = give, .user = given};
@@ -218,7 +218,6 @@ static int sort_given(struct sort_fixture *f, struct given *given, enum vox_note
     options.sources = sources;
     options.scan_count = 2;
     options.tris_path = "scan.tris";
-    options.note = note;
     bsq_clear_error(f->ctx);
     bsq_forget_files(f->ctx);
     return vox_sort(f->ctx, &options, &f->report);
@@ -234,20 +233,18 @@ FIXTURE_TEST(test_a_callback_gives_a_mesh_beside_a_file)
     test_text("more.obj", "v 5 0 0\nv 6 0 0\nv 5 1 0\nf 1 2 3\n");
     expect_sorted(f, sort_files(f, paths, 2));
     read_sorted(f, &expected, NULL);
-    expect_sorted(f, sort_given(f, &given, VOX_NOTE_REUSE, 0));
-    assert_int_equal(access("scan.tris.job", F_OK), -1); /* nothing tells such a mesh from others */
+    expect_sorted(f, sort_given(f, &given, 0));
     read_sorted(f, &got, NULL);
     expect_same_triangles(&got, &expected);
 
     given.limit = 20;
-    assert_int_equal(sort_given(f, &given, VOX_NOTE_NONE, 0), BSQ_EIO);
+    assert_int_equal(sort_given(f, &given, 0), BSQ_EIO);
     assert_string_equal(bsq_error(f->ctx), "given: the callback failed");
     given = (struct given){"v 0 0 0\nv 1 0 0\nf 1 2 9\n", 99};
-    assert_int_equal(sort_given(f, &given, VOX_NOTE_NONE, 0), BSQ_EDATA);
+    assert_int_equal(sort_given(f, &given, 0), BSQ_EDATA);
     assert_string_equal(bsq_error(f->ctx), "given:3: face refers to vertex 9, file has 2");
-    assert_int_equal(sort_given(f, &given, VOX_NOTE_RESUME, 0), BSQ_EUSAGE);
     given = (struct given){"{\"asset\": {\"version\": \"2.0\"}}", 99};
-    assert_int_equal(sort_given(f, &given, VOX_NOTE_NONE, 0), BSQ_EDATA);
+    assert_int_equal(sort_given(f, &given, 0), BSQ_EDATA);
     assert_string_equal(bsq_error(f->ctx),
                         "given: a callback can give OBJ, PLY and STL meshes only");
 }
@@ -255,7 +252,7 @@ FIXTURE_TEST(test_a_callback_gives_a_mesh_beside_a_file)
 FIXTURE_TEST(test_options_of_another_version_are_refused)
 {
     struct given given = {"", 0};
-    assert_int_equal(sort_given(f, &given, VOX_NOTE_NONE, 8), BSQ_EUSAGE);
+    assert_int_equal(sort_given(f, &given, 8), BSQ_EUSAGE);
     assert_non_null(strstr(bsq_error(f->ctx), "struct vox_sort_options has "));
     const struct bsq_ctx_options options = {.size = 1};
     struct bsq_ctx *ctx;

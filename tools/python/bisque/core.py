@@ -247,7 +247,7 @@ def _kind(job: Job, path: str) -> int:
 
 def _sort(job: Job, scan: Any, output: str, texture: Any = None, ids: str = "none",
           channels: Sequence[str] = (), embed_textures: bool = False,
-          resume: bool = False, temporary: Any = ffi.NULL) -> dict:
+          temporary: Any = ffi.NULL) -> dict:
     options = ffi.new("struct vox_sort_options *")
     lib.vox_sort_defaults(options)
     if _is_memory(scan):
@@ -263,7 +263,6 @@ def _sort(job: Job, scan: Any, output: str, texture: Any = None, ids: str = "non
         {"name": job.string(name), "texture_path": ffi.NULL} for name in channels]))
     options.channel_count = len(channels)
     options.embed_textures = embed_textures
-    options.note = lib.VOX_NOTE_REUSE if resume else lib.VOX_NOTE_NONE
     options.temp_tris = temporary
     report = _new_report("struct vox_sort_report")
     job.run(lib.vox_sort, options, report)
@@ -282,16 +281,15 @@ def _chunks(job: Job, scan: Any) -> str | list[str]:
 
 
 def sort(scan: Any, output: str | os.PathLike, *, texture: Any = None, ids: str = "none",
-         channels: Sequence[str] = (), embed_textures: bool = False, resume: bool = False,
+         channels: Sequence[str] = (), embed_textures: bool = False,
          memory: int | str | None = None, threads: int = 0, tmpdir: Any = None,
          progress: Progress | None = None) -> dict:
     """Sorts a scan into a chunk file (.tris), from which all other functions start faster.
 
     texture: an image for all faces with texture coordinates. ids: "material", "object" or "color".
-    channels: such as ("roughness",). resume: keeps a file that would become the same again, by its
-    note, `output` + ".job". Returns the report. Raises Error."""
+    channels: such as ("roughness",). Returns the report. Raises Error."""
     with Job(memory, threads, tmpdir, progress) as job:
-        return _sort(job, scan, os.fspath(output), texture, ids, channels, embed_textures, resume)
+        return _sort(job, scan, os.fspath(output), texture, ids, channels, embed_textures)
 
 
 def voxelize(scan: Any, output: str | os.PathLike, *, resolution: int = 2048,
