@@ -34,7 +34,6 @@ struct bsq_option {
     const char *heading;  /**< Of the rows from here on in the help; NULL: the same as before. */
     bool own_syntax;      /**< The program parses the value. */
     bool with_plan;       /**< May be given beside a plan, which has all other options. */
-    const char *old_name; /**< Of an earlier release; still understood. */
     const char *argument; /**< What the help calls the value; NULL: takes none. */
     const char *help;     /**< Lines, with newlines between them. NULL: understood, but hidden. */
     enum bsq_option_kind kind; /**< What the member holds. */

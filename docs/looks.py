@@ -22,7 +22,7 @@ LOOKS = [
     ("shifted", VASE, ["--low", "x=0.06", "--as-is"], []),
     ("layers", ["coat.tris", "ball_low.obj"], ["--front", "0.01", "--back", "0.2"], ["--extrude", "0.06"]),
     ("short", VASE, ["--front", "0.002", "--back", "0.002"], []),
-    ("facets", ["ball.tris", "ball_low.obj"], ["--scan-normals", "flat"], ["--scan-normals", "angle"]),
+    ("facets", ["ball.tris", "ball_low.obj"], ["--scan", "normals=flat"], ["--scan", "normals=angle"]),
     ("coarse", ["coarse.nvdb", "vase_low.obj"], [], VASE),
     ("padding", VASE, ["--padding", "0", "--size", "64"], ["--size", "64"]),
     ("colors", VASE, ["--maps", "normal"], []),
@@ -90,7 +90,7 @@ def main(programs, generator, folder):
             good = panels(run, VASE, []) if right == VASE else panels(run, inputs, right)
             write(os.path.join(folder, name + ".png"), [bad[1], good[1], good[2]])
         for green in ("up", "down"):
-            run("bisque-bake", *VASE, "-o", f"{green}.png", "--maps", "normal", "--size", "96", "--green", green,
+            run("bisque-bake", *VASE, "-o", f"{green}.png", "--maps", "normal", "--size", "96", "--normal", f"green={green}",
                 "--type", "8")
         write(os.path.join(folder, "green.png"),
               [png.read(f"{green}.png")[3] for green in ("up", "down")])

@@ -39,9 +39,9 @@ both()
             for surface in nvdb tris; do
                 "$bin/bisque-bake" s.$surface "$low" -o "${surface}_<MAP>.exr" --size 300x200 --device cpu \
                     --maps normal,mask --preview $surface.png
-                "$bin/bisque-bake" s.$surface "$low" -o "${surface}_<MAP>.png" --size 128 --device cpu --png-bits 8
+                "$bin/bisque-bake" s.$surface "$low" -o "${surface}_<MAP>.png" --size 128 --device cpu --type 8
                 "$bin/bisque-bake" s.$surface "$low" -o "${surface}_object_<MAP>.exr" --size 128 --device cpu \
-                    --normal-space object --float --samples 3
+                    --normal space=object --type float --samples 3
             done
             "$bin/bisque-bake" s.nvdb "$low" -o "opencl_<MAP>.exr" --size 128 --device opencl
             "$bin/bisque-compare" nvdb_normal.exr tris_normal.exr >comparison.txt

@@ -194,16 +194,9 @@ static int take_option(struct cli *cli, void *arg, const struct bsq_option *row,
     }
     if (strcmp(name, "task") == 0)
         return bake_farm_parse(cli, name, text, &arguments->farm.task);
-    if (strcmp(name, "merge-tile") == 0) {
-        arguments->farm.merge = true;
-        return bake_farm_parse(cli, name, text, &arguments->farm.task);
-    }
     if (strcmp(name, "list") == 0)
         return parse_list(cli, arguments, text);
-    if (strcmp(name, "half") != 0 && strcmp(name, "float") != 0)
-        return bake_maps_take(cli, arg, row, text);
-    bake->sample_type = strcmp(name, "half") == 0 ? BAKE_HALF : BAKE_FLOAT;
-    return 0;
+    return bake_maps_take(cli, arg, row, text);
 }
 
 /* ---- all of them ---- */
@@ -211,18 +204,10 @@ static int take_option(struct cli *cli, void *arg, const struct bsq_option *row,
 static const struct bsq_option list_rows[] = {
     {BSQ_ROW("list", "WHAT", "print the devices, or the UDIM tiles of a low-poly mesh, and exit"),
      .heading = "Instead of a bake", BSQ_OWN},
-    /* Old names; those of other options are in their rows. */
-    {.name = "list-devices", BSQ_MEMBER(FLAG, struct bake_arguments, list_devices)},
-    {.name = "list-tiles", BSQ_MEMBER(FLAG, struct bake_arguments, list_tiles)},
-    {.name = "mask-opacity", BSQ_MEMBER(FLAG, struct bake_arguments, mask_opacity)},
-    {.name = "half", BSQ_OWN},
-    {.name = "float", BSQ_OWN},
 };
 enum { LIST_ROWS = sizeof list_rows / sizeof *list_rows };
 
-static const struct bsq_option cli_rows[] = {
-    CLI_STRICT_ROW, {.name = "verify", BSQ_MEMBER(FLAG, struct cli, verify)}, /* an old name */
-};
+static const struct bsq_option cli_rows[] = {CLI_STRICT_ROW};
 
 struct cli_table bake_arguments_table(const struct bake_arguments *arguments)
 {
@@ -236,8 +221,6 @@ static int check_arguments(struct cli *cli, struct bake_arguments *arguments)
 {
     struct bake_options *bake = &arguments->bake;
     const int count = arguments->file_count;
-    if (cli->verify)
-        return 0;
     if (arguments->list_devices)
         return count == 0 ? 0 : cli_usage(cli, "--list devices takes no files");
     if (arguments->list_tiles)
@@ -282,7 +265,7 @@ int bake_arguments_map_inputs(struct cli *cli, struct bake_arguments *arguments)
 {
     const struct cli_table table = bake_arguments_table(arguments);
     int status = 0;
-    for (int i = 0; i < arguments->file_count && !cli->verify; i++) {
+    for (int i = 0; i < arguments->file_count; i++) {
         const char *path = arguments->files[i];
         BSQ_TRY(cli_map_input(cli, &path));
         arguments->files[i] = (char *)(uintptr_t)path;

@@ -18,14 +18,13 @@ const struct bsq_option bake_task_rows[BAKE_TASK_ROWS] = {
              "with --tasks: the plan to write\n"
              "else: take inputs, output and options from it; alone: print how\n"
              "many tasks it has, and what each needs"),
-     .old_name = "write-plan", MEMBER(INPUT, plan)},
+     MEMBER(INPUT, plan)},
     {BSQ_ROW("task", "I | I-J", "do task I, or I to J, of the plan, from 0 on, into part files"),
      BSQ_OWN},
     {BSQ_ROW("merge", NULL,
              "write all maps from the parts of the plan, and the preview\n"
              "with --task I: only the maps of UDIM tile I, from 0 on"),
      MEMBER(FLAG, merge)},
-    {.name = "merge-tile", .argument = "I", BSQ_OWN}, /* old */
     {BSQ_ROW("force", NULL, "do it again if the part or the outputs are there already"),
      MEMBER(FLAG, force)},
 };

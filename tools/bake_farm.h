@@ -23,7 +23,7 @@ struct bake_tasks {
 };
 
 /* The rows of these options; they set members of struct bake_tasks. */
-enum { BAKE_TASK_ROWS = 6 };
+enum { BAKE_TASK_ROWS = 5 };
 extern const struct bsq_option bake_task_rows[BAKE_TASK_ROWS];
 
 /* Parses the value of an option: a number, or the first and the last one with a dash between. */

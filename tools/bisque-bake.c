@@ -130,8 +130,6 @@ static int work(struct cli *cli, struct bake_arguments *arguments, bool *missed)
     int status = 0;
     BSQ_TRY(cli_create_context(cli));
     BSQ_TRY(bake_arguments_map_inputs(cli, arguments));
-    if (cli->verify)
-        return cli_verify(cli, arguments->files, arguments->file_count);
     if (arguments->list_devices)
         return bake_report_devices(cli);
     if (arguments->farm.plan)

@@ -200,9 +200,8 @@ static void print_help(const struct cli_command *command, const struct cli_table
         command->print_more();
 }
 
-/* Prints a line for each option of the help, with tabs between the columns: name, key, old name,
- * kind, least and most value, words, argument. An option with a syntax of its own has the kind
- * "own". */
+/* Prints a line for each option of the help, with tabs between the columns: name, key, kind, least
+ * and most value, words, argument. An option with a syntax of its own has the kind "own". */
 static void print_options(const struct cli_table *tables, size_t count)
 {
     static const char *const kinds[] = {"flag", "count", "bytes",  "number", "choice",
@@ -210,8 +209,7 @@ static void print_options(const struct cli_table *tables, size_t count)
     for (const struct cli_table *table = tables; table < tables + count; table++)
         for (const struct bsq_option *row = table->rows; row < table->rows + table->count; row++)
             if (row->name && row->help)
-                printf("%s\t%s\t%s\t%s\t%.17g\t%.17g\t%s\t%s\n", row->name,
-                       row->key ? row->key : "", row->old_name ? row->old_name : "",
+                printf("%s\t%s\t%s\t%.17g\t%.17g\t%s\t%s\n", row->name, row->key ? row->key : "",
                        row->own_syntax ? "own" : kinds[row->kind], row->least, row->most,
                        row->words ? row->words : "", row->argument ? row->argument : "");
 }
@@ -255,14 +253,14 @@ struct parser {
 };
 
 static void add_entry(struct parser *parser, const struct cli_table *table,
-                      const struct bsq_option *row, const char *name)
+                      const struct bsq_option *row)
 {
     const size_t i = parser->count++;
-    parser->options[i] =
-        (struct option){name, row->argument ? required_argument : no_argument, NULL, 256 + (int)i};
+    parser->options[i] = (struct option){row->name, row->argument ? required_argument : no_argument,
+                                         NULL, 256 + (int)i};
     parser->entries[i].table = table;
     parser->entries[i].row = row;
-    if (row->letter && name == row->name) {
+    if (row->letter) {
         parser->options[i].val = (unsigned char)row->letter;
         snprintf(parser->letters, sizeof parser->letters, ":%c:", row->letter);
     }
@@ -273,15 +271,68 @@ static void add_table(struct parser *parser, const struct cli_table *table)
     for (const struct bsq_option *row = table->rows; row < table->rows + table->count; row++) {
         const bool follows = row > table->rows && is_same_option(row, row - 1);
         if (row->name && !follows)
-            add_entry(parser, table, row, row->name);
-        if (row->old_name)
-            add_entry(parser, table, row, row->old_name);
+            add_entry(parser, table, row);
     }
 }
 
-/* Says why getopt_long() returned '?' or ':'. Its own messages would print any bytes. */
-static int refuse_option(struct cli *cli, int option, char *const *argv)
+/* Returns in how many letters two texts differ, counting changed, inserted and left out ones
+ * (Wagner and Fischer 1974). `name` is shorter than CLI_TEXT. */
+static unsigned count_typos(const char *word, size_t length, const char *name)
 {
+    const size_t letters = strlen(name);
+    unsigned row[CLI_TEXT];
+    for (unsigned j = 0; j <= letters; j++)
+        row[j] = j;
+    for (size_t i = 0; i < length; i++) {
+        unsigned before = row[0]++;
+        for (size_t j = 0; j < letters; j++) {
+            const unsigned changed = before + (word[i] != name[j]);
+            const unsigned other = 1 + (row[j] < row[j + 1] ? row[j] : row[j + 1]);
+            before = row[j + 1];
+            row[j + 1] = changed < other ? changed : other;
+        }
+    }
+    return row[letters];
+}
+
+/* Writes the option that a wrong word is nearest to, such as "--rays ao=N". Options with keys are
+ * found by both names in any order, and by the key alone. Returns false if none is near. */
+static bool find_nearest(const struct parser *parser, const char *word, char out[CLI_TEXT])
+{
+    const size_t length = strcspn(word, "=");
+    size_t limit = length / 3 < 3 ? length / 3 : 3;
+    bool found = false;
+    for (const struct cli_table *table = parser->tables;
+         table < parser->tables + parser->table_count; table++)
+        for (const struct bsq_option *row = table->rows; row < table->rows + table->count; row++) {
+            const char *key = row->key ? row->key : "", *gap = row->key ? "-" : "";
+            char names[3][CLI_TEXT];
+            if (!row->name || !row->help)
+                continue;
+            snprintf(names[0], CLI_TEXT, "%s%s%s", row->name, gap, key);
+            snprintf(names[1], CLI_TEXT, "%s%s%s", key, gap, row->name);
+            snprintf(names[2], CLI_TEXT, "%s", row->key ? key : row->name);
+            for (int i = 0; i < 3; i++) {
+                const size_t typos = count_typos(word, length, names[i]);
+                if (typos > limit || (found && typos == limit))
+                    continue;
+                found = true;
+                limit = typos;
+                snprintf(out, CLI_TEXT, "--%s%s%s%s%s", row->name, row->key ? " " : "", key,
+                         row->key        ? "="
+                         : row->argument ? " "
+                                         : "",
+                         row->argument ? row->argument : "");
+            }
+        }
+    return found;
+}
+
+/* Says why getopt_long() returned '?' or ':'. Its own messages would print any bytes. */
+static int refuse_option(const struct parser *parser, int option, char *const *argv)
+{
+    struct cli *cli = parser->cli;
+    char nearest[CLI_TEXT];
     const char *word = argv[optind - 1];
     if (strncmp(word, "--", 2) != 0)
         return option == ':' ? cli_usage(cli, "option requires an argument -- '%c'", optopt)
@@ -290,7 +341,9 @@ static int refuse_option(struct cli *cli, int option, char *const *argv)
         return cli_usage(cli, "option '%s' requires an argument", word);
     if (optopt != 0)
         return cli_usage(cli, "option '%s': no argument is allowed", word);
-    return cli_usage(cli, "unrecognized option '%s'", word);
+    if (find_nearest(parser, word + 2, nearest))
+        return cli_usage(cli, "unrecognized option '%s'; the nearest is %s", word, nearest);
+    return cli_usage(cli, "unrecognized option '%s' (see --help)", word);
 }
 
 /* Takes the value of a row; `name` is how it was given, without dashes. */
@@ -341,9 +394,8 @@ static int take_option(struct parser *parser, int option)
     const char *name = parser->options[i].name;
     if (table->options != cli)
         parser->own_name = name;
-    int status = row->key && name == row->name
-                     ? take_keys(parser, table, row, optarg)
-                     : take_value(parser, table, row, name, optarg ? optarg : "");
+    int status = row->key ? take_keys(parser, table, row, optarg)
+                          : take_value(parser, table, row, name, optarg ? optarg : "");
     if (status == 0 && cli->help)
         print_help(parser->command, parser->tables, parser->table_count);
     if (status == 0 && cli->list_options)
@@ -365,7 +417,7 @@ int cli_parse(struct cli *cli, const struct cli_command *command, int argc, char
         (struct cli_table){common_rows, sizeof common_rows / sizeof *common_rows, cli, NULL};
     add_table(&parser, &parser.tables[parser.table_count++]);
     while ((option = getopt_long(argc, argv, parser.letters, parser.options, NULL)) != -1) {
-        int status = option == '?' || option == ':' ? refuse_option(cli, option, argv)
+        int status = option == '?' || option == ':' ? refuse_option(&parser, option, argv)
                                                     : take_option(&parser, option);
         if (status != 0)
             return status;

@@ -135,7 +135,7 @@ both_samplings()
 whole_scan()
 {
     # shellcheck disable=SC2086 # two options with a value each
-    bake "$1.tris" "$scan_low" "$1-flat" --scan-normals flat $reach
+    bake "$1.tris" "$scan_low" "$1-flat" --scan normals=flat $reach
     compare "$1-flat" "$1-exact" "$2" 0 - flat
     if [ -f "$1-fine_normal.exr" ]; then
         compare "$1-exact" "$1-fine" "$2$finer" 0 - smooth

@@ -85,8 +85,8 @@ cp "$SCANS/bunny.obj" "$SCANS/bunny_low.obj" .
 "$BIN/bisque-voxelize" bunny.obj -o bunny.nvdb --resolution 64 >bake.log 2>&1 || exit 70
 blend bake normal bunny.obj bunny_low.obj bunny.exr "$size" 1 0.005 0.005
 for weights in area angle max; do
-    echo "normals of the bunny, degrees, --scan-normals $weights"
+    echo "normals of the bunny, degrees, --scan normals=$weights"
     bake "$weights" bunny.tris bunny_low.obj --maps normal,mask --normal space=object \
-        --front 0.005 --back 0.005 --scan-normals $weights
+        --front 0.005 --back 0.005 --scan normals=$weights
     blend compare angle "${weights}_normal.exr" bunny.exr "${weights}_mask.exr"
 done

@@ -62,7 +62,7 @@ refused 64 "$p no output given: add -o 'OUT_<MAP>.exr'"
 $bake --list devices low.obj
 refused 64 "$p --list devices takes no files"
 $bake --nonsense
-refused 64 "$p unrecognized option '--nonsense'"
+refused 64 "$p unrecognized option '--nonsense' (see --help)"
 good="plain.nvdb low.obj -o a_<MAP>.exr"
 known="$(echo $maps | sed 's/ /, /g') or transfer:NAME" # normal, color or transfer:NAME
 $bake $good --maps normal,hight
@@ -93,22 +93,24 @@ for range in 0 -1 none nan; do
     $bake $good --range height=$range
     refused 64 "$p --range height: \"$range\" is not a positive number"
 done
-for option in height-range curvature-range ao-distance thickness-distance; do
-    $bake $good --maps normal --$option 1e308
-    code 64
+for option in "range height" "range curvature" "distance ao" "distance thickness"; do
+    # shellcheck disable=SC2086 # an option and its key
+    $bake $good --maps normal --$option=1e308
+    refused_like 64 "^$p --$option: 1e308 is above "
     [ ! -e out.exr ] && [ ! -e out.png ]
     check "no map with --$option 1e308" $?
 done
-for option in curvature-radius curvature-range; do
-    $bake $good --$option 0
+for option in "distance curvature" "range curvature"; do
+    # shellcheck disable=SC2086 # an option and its key
+    $bake $good --$option=0
     refused 64 "$p --$option: \"0\" is not a positive number"
 done
 $bake $good --range position=cube
 refused 64 "$p --range position: \"cube\" is not sphere or box"
 $bake $good --padding some
 refused 64 "$p --padding: \"some\" is not a whole number from 0 to 4294967294"
-$bake $good --green left
-refused 64 "$p --green: \"left\" is not up or down"
+$bake $good --normal green=left
+refused 64 "$p --normal green: \"left\" is not up or down"
 $bake $good --normal space=world
 refused 64 "$p --normal space: \"world\" is not tangent or object"
 $bake $good --normal space=object,green=down

@@ -31,7 +31,7 @@ bad=$(printf 'a\033[31mb\302\233c\377d') shown='a\x1b[31mb\xc2\x9bc\xffd'
 
 for program in bisque-voxelize bisque-simplify bisque-bake bisque-compare; do
     checked $program "--$bad"
-    refused 64 "$program: unrecognized option '--$shown'"
+    refused 64 "$program: unrecognized option '--$shown' (see --help)"
     checked $program "--memory=$bad" x
     code 64
     clean

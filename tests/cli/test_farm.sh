@@ -166,7 +166,7 @@ rm forty.* m_*
 
 # ---- the same again ----
 
-plan="bisque-bake scan.nvdb low.obj $size --low normals=angle -o maps/<MAP>.<UDIM>.exr --maps normal,height --tasks 3 --write-plan farm/plan.json" # an old name
+plan="bisque-bake scan.nvdb low.obj $size --low normals=angle -o maps/<MAP>.<UDIM>.exr --maps normal,height --tasks 3 --plan farm/plan.json"
 mkdir maps
 rm -rf one farm/*
 ok run $plan
@@ -500,7 +500,7 @@ $bake --plan farm/plan.json --task 1-3
 refused 64 "$p farm/plan.json: there is no task 3: tasks are 0 to 2"
 $bake --plan farm/plan.json --max-missed 3
 err "$p --max-missed is for the bake of all texels: give it to --merge"
-$bake --plan farm/plan.json --merge-tile 0 --max-missed 3 # an old name
+$bake --plan farm/plan.json --merge --task 0 --max-missed 3
 err "$p --max-missed is for the bake of all texels: give it to --merge"
 mkfifo pipe.obj
 cat low.obj >pipe.obj &

@@ -72,7 +72,7 @@ maps="low.obj --size 32 --samples 1"
 offline bisque-bake scan.nvdb $maps --device cpu --preview a.png -o 'a_<MAP>.exr'
 offline bisque-bake scan.tris $maps -o 'b_<MAP>.exr'
 offline bisque-bake scan.nvdb $maps --device cpu --maps normal,color,mask --type 8 -o 'a_<MAP>.png'
-offline bisque-bake --verify scan.tris scan.nvdb
+offline bisque-voxelize --verify scan.tris scan.nvdb
 offline bisque-compare a_normal.exr b_normal.exr --heatmap heat.png
 offline bisque-compare --version
 

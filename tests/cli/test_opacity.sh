@@ -147,8 +147,6 @@ $bake light.tris low.obj --maps mask:opacity -o x.png
 refused_like 65 'light.tris has no channel opacity: make it with bisque-voxelize --channels opacity'
 $bake light.nvdb low.obj --maps mask:opacity -o x.png
 refused_like 65 'light.nvdb has no channel opacity: make it with bisque-voxelize --channels opacity'
-$bake --mask-opacity plane.tris low.obj --maps normal -o x.png
-refused_like 64 'opacity is part of the mask, which is not baked'
 $vox light.nvdb -o x.nvdb
 code 65
 [ ! -e x.png ] && [ ! -e x.nvdb ]

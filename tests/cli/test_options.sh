@@ -1,5 +1,5 @@
 #!/bin/sh
-# test_options.sh - options by key, and options by the names of an earlier release.
+# test_options.sh - options by key, and wrong names of options.
 . "$(dirname "$0")/lib.sh"
 p=bisque-bake:
 
@@ -18,63 +18,49 @@ plan()
     jq .options plan.json >"$to"
 }
 
-# alias_of OLD -- NEW: a bake with the old options has the options of one with the new ones.
-plan usual
-alias_of()
-{
-    old=
-    while [ "$1" != -- ]; do
-        old="$old $1"
-        shift
-    done
-    shift
-    # shellcheck disable=SC2086 # an option and its value
-    plan old $old
-    plan new "$@"
-    cmp -s old new && ! cmp -s old usual
-    check "$old is $*" $?
-}
-
 if command -v jq >/dev/null; then
-    alias_of --height-range 2 -- --range height=2
-    alias_of --position-in box -- --range position=box
-    alias_of --curvature-range 3 -- --range curvature=3
-    alias_of --curvature-radius 0.5 -- --distance curvature=0.5
-    alias_of --ao-distance 0.5 --ao-falloff linear -- --distance ao=0.5 --ao falloff=linear
-    alias_of --thickness-distance 0.5 -- --distance thickness=0.5
-    alias_of --ao-rays 3 --thickness-rays 4 -- --rays ao=3,thickness=4
-    alias_of --ao-spread 90 --ao-coarse none -- --ao spread=90,coarse=none
-    alias_of --preview-views 2 --up z -- --view count=2,up=z
-    alias_of --half -- --type half
-    alias_of --float -- --type float
-    alias_of --match name --match-suffixes _low,_high --float -- --match name --type float
-    alias_of --match name --match-suffixes _low,_high -- --match _low,_high
+    plan usual
+    plan together --rays ao=3,thickness=4 --match _low,_high
+    plan apart --rays thickness=4 --match name --rays ao=3
+    cmp -s together apart && ! cmp -s apart usual
+    check "keys may be given together or apart" $?
 else
     lacks "options of plans" "jq is not installed"
 fi
-ok run bisque-bake vase_high.nvdb vase_low.obj -o a.png --maps normal --size 8 --png-bits 8
-holds "--png-bits 8 gives 8 bits" [ "$(od -An -tu1 -j24 -N1 a.png | tr -d ' ')" = 8 ]
-for list in devices tiles; do
-    files=
-    [ $list = devices ] || files=vase_low.obj
-    # shellcheck disable=SC2086 # one file or none
-    ok run bisque-bake --list $list $files
-    cp "$out" new
-    # shellcheck disable=SC2086
-    run bisque-bake --list-$list $files
-    holds "--list-$list is --list $list" cmp -s "$out" new
-done
-ok run bisque-bake --verify vase_high.nvdb
-out_like '^vase_high.nvdb: ok '
+ok run bisque-bake vase_high.nvdb vase_low.obj -o a.png --maps normal --size 8 --type 8
+holds "--type 8 gives 8 bits" [ "$(od -An -tu1 -j24 -N1 a.png | tr -d ' ')" = 8 ]
 
-# What is wrong with a value is said with the name that was given.
+# What is wrong with a value is said with the name of the option.
 bake="run bisque-bake vase_high.nvdb vase_low.obj -o a_<MAP>.exr"
-$bake --ao-rays 0
-refused 64 "$p --ao-rays: \"0\" is not a whole number from 1 to 4096"
 $bake --rays ao=3,thickness=0
 refused 64 "$p --rays thickness: \"0\" is not a whole number from 1 to 4096"
 for words in 3 bent=3 =3 aoo=3; do
     $bake --rays $words
     refused 64 "$p --rays: \"${words%%=*}\" is not KEY=VALUE with a key of --help"
 done
+
+# A wrong name is refused with the nearest right one, if there is one: at most three letters differ, and at most a third.
+while read -r wrong nearest; do
+    $bake "$wrong" 3
+    refused 64 "$p unrecognized option '$wrong'; the nearest is $nearest"
+done <<'CASES'
+--ao-rays --rays ao=N
+--ao-rays=3 --rays ao=N
+--thicknes-ray --rays thickness=N
+--rays-thickness --rays thickness=N
+--range-hight --range height=D
+--position-in --range position=SHAPE
+--green --normal green=DIR
+--sampling --scan sampling=MODE
+--up --view up=AXIS
+--padd1ng --padding N
+--two-side-d --two-sided
+--memroy --memory SIZE
+CASES
+for wrong in --match-suffixes --half --list-devices --curvature-radius --zz "--$(printf '%0200d' 0)" --=; do
+    $bake "$wrong" 3
+    refused 64 "$p unrecognized option '$wrong' (see --help)"
+done
+run bisque-voxelize vase_high.obj -o a.nvdb --resume
+refused 64 "bisque-voxelize: unrecognized option '--resume' (see --help)"
 finish

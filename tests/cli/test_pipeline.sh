@@ -99,7 +99,7 @@ if [ -n "$SCANS" ] && ! sanitized; then
     ok run bisque-voxelize "$SCANS/spot.obj" --texture "$SCANS/spot.png" -o spot.nvdb --resolution 1024 \
         --scan-normals flat
     for name in bunny spot; do
-        for scan in "nvdb" "tris --scan-normals flat"; do
+        for scan in "nvdb" "tris --scan normals=flat"; do
             # shellcheck disable=SC2086 # several words
             ok run bisque-bake $name.$scan "$SCANS/${name}_low.obj" --normal space=object --type float --size 1024 \
                 --samples 1 -o "${name}_${scan%% *}_<MAP>.exr" --maps normal,mask$([ $name = bunny ] || echo ,color)

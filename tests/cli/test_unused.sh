@@ -69,12 +69,12 @@ for words in "--ao coarse=none" "--scan sampling=trilinear" "--gpu-memory 1G"; d
     holds "none of $words for a grid beside triangles" [ ! -s "$err" ]
 done
 nothing "triangles without normals" "--scan normals" with.tris --scan normals=flat --two-sided
-nothing "triangles without normals" "--scan normals" vase-high.nvdb --scan-normals smooth
+nothing "triangles without normals" "--scan normals" vase-high.nvdb --scan normals=smooth
 nothing "--normal space=tangent" "--normal green" vase-high.nvdb --normal green=up,space=object
-bake --scan-normals flat -o '<MAP>.exr'
+bake --scan normals=flat -o '<MAP>.exr'
 code 64
-ok run bisque-bake vase-high.tris vase-low.obj --progress none --size 4 --samples 1 --scan-normals flat -o '<MAP>.exr'
-holds "none of --scan-normals for triangles without normals" [ ! -s "$err" ]
+ok run bisque-bake vase-high.tris vase-low.obj --progress none --size 4 --samples 1 --scan normals=flat -o '<MAP>.exr'
+holds "none of --scan normals for triangles without normals" [ ! -s "$err" ]
 unused "a map other than mask" --padding 3 -- --maps mask,height -o '<MAP>.png'
 
 # An option that needs two others is named for the one that lacks.

@@ -26,7 +26,7 @@ refused 64 "$p no output given: add -o FILE.nvdb"
 $vox box.obj -o box.vdb
 refused 64 "$p box.vdb: a grid is a NanoVDB file: give -o FILE.nvdb, and --vdb box.vdb for an OpenVDB file beside it"
 $vox --nonsense
-refused 64 "$p unrecognized option '--nonsense'"
+refused 64 "$p unrecognized option '--nonsense' (see --help)"
 $vox box.obj -o
 refused 64 "$p option requires an argument -- 'o'"
 $vox box.obj -o a.nvdb --resolution 100 --voxel-size 1

@@ -172,11 +172,11 @@ class Bake(Job):
     def lists(self):
         return [(self.trial, "bake"), (self.trial, "scans")]
 
-    def run(self, runner, more=(), given=None, rng=None, scans=None, old=False, environment=None, device="cpu"):
+    def run(self, runner, more=(), given=None, rng=None, scans=None, environment=None, device="cpu"):
         trial = self.trial
         given = trial.bake if given is None else given
         files = trials.names([scan.path for scan in scans or trial.scans] + trial.lows, given)
-        words = ["--device", device] + trials.words(given, rng, old) + files + ["-o", trial.name] + list(more)
+        words = ["--device", device] + trials.words(given, rng) + files + ["-o", trial.name] + list(more)
         return runner.run("bisque-bake", words, environment)
 
     def files(self, runner):
@@ -218,7 +218,7 @@ def other_budget(runner, job, base, rng):
 def other_order(runner, job, base, rng):
     kept = {}
     if isinstance(job, Bake):
-        kept = {"scans": rng.sample(job.trial.scans, len(job.trial.scans)), "old": rng.random() < 0.5}
+        kept = {"scans": rng.sample(job.trial.scans, len(job.trial.scans))}
     code, _ = job.run(runner, rng=rng, **kept)
     expect_same(code, job.files(runner), base)
 

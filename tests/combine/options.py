@@ -6,10 +6,10 @@ import subprocess
 class Option:
     def __init__(self, line):
         columns = line.rstrip("\n").split("\t")
-        self.name, self.key, self.old_name, self.kind = columns[:4]
-        self.least, self.most = float(columns[4]), float(columns[5])
-        self.words = columns[6].replace("/", " ").split()
-        self.argument = columns[7]
+        self.name, self.key, self.kind = columns[:3]
+        self.least, self.most = float(columns[3]), float(columns[4])
+        self.words = columns[5].replace("/", " ").split()
+        self.argument = columns[6]
 
     @property
     def id(self):

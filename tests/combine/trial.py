@@ -306,17 +306,15 @@ def names(files, given):
     return [file.replace("../in/", FAR) for file in files] if value("path-map", given) is not None else files
 
 
-def words(given, random=None, old=False):
-    """Returns the words of a command line. random: in another order. old: by earlier names."""
+def words(given, random=None):
+    """Returns the words of a command line. random: in another order."""
     if random:  # values for each file keep their order
         order = sorted(given, key=lambda one: random.random())
         each = iter([one for one in given if one[0].name in EACH])
         given = [next(each) if one[0].name in EACH else one for one in order]
     out = []
     for option, drawn in given:
-        if old and option.old_name:
-            out += ["--" + option.old_name, drawn]
-        elif option.key:
+        if option.key:
             out += ["--" + option.name, "%s=%s" % (option.key, drawn)]
         else:
             out += ["--" + option.name] + ([drawn] if option.argument else [])

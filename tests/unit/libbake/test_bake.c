@@ -366,4 +366,16 @@ CONTEXT_TEST(test_rows_are_those_of_files, 2, 64 << 20)
     free(taken.samples[1]);
 }
 
+CONTEXT_TEST(test_opacity_needs_a_mask, 1, 0)
+{
+    const struct bake_transfer opacity = {.name = "opacity", .in_mask = true, .no_file = true};
+    struct bake_report report = {.size = sizeof report};
+    struct bake_options options = options_for("unmasked.exr");
+    options.maps = BAKE_MAP_NORMAL;
+    options.transfers = &opacity;
+    options.transfer_count = 1;
+    assert_int_equal(bake_run(ctx, &options, &report), BSQ_EUSAGE);
+    assert_string_equal(bsq_error(ctx), "opacity is part of the mask, which is not baked");
+}
+
 RUN_TESTS(make_scene, NULL)
