@@ -214,15 +214,15 @@ check-ptx: $(BUILD)/gen/kernel-$(PTX).ptx
 check-gpu: gpu-bundle
 	@tests/gpu/check_gpu.sh
 
-# openjd-cli, and hera for the schema of Argo, in a virtual environment of the tests.
+# openjd-cli, in a virtual environment of the tests.
 farm_venv := build/farm-venv
 .PHONY: check-farm deps-farm
 deps-farm:
 	@tests/install-packages.sh slurm-wlm python3-venv
-	@$(farm_venv)/bin/python3 -c 'import hera, openjd.cli, yaml' 2>/dev/null || { \
+	@$(farm_venv)/bin/python3 -c 'import openjd.cli, yaml' 2>/dev/null || { \
 	    python3 -m venv $(farm_venv) && \
-	    $(farm_venv)/bin/pip install -q openjd-cli==0.8.0 hera==7.1.0 pyyaml; }
-## check-farm: bake in tasks on a Slurm cluster on this machine, with openjd, and as Argo would
+	    $(farm_venv)/bin/pip install -q openjd-cli==0.8.0 pyyaml; }
+## check-farm: bake in tasks on a Slurm cluster on this machine, and with openjd
 check-farm: tests-build deps-farm
 	@OPENJD=$(farm_venv)/bin/openjd BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
 	    tests/farm/check_openjd.sh tests/farm/check_slurm.sh \

@@ -1,6 +1,5 @@
 #!/bin/sh
-# check_templates.sh - the Argo Workflow and Deadline's job bundle give the maps of a single run. OPENJD is the
-# command of openjd-cli; hera is in the same virtual environment.
+# check_templates.sh - Deadline's job bundle gives the maps of a single run. OPENJD is the command of openjd-cli.
 openjd=$(cd "$(dirname "${OPENJD:?is the command of openjd-cli}")" && pwd)/openjd || exit 1
 python=$(dirname "$openjd")/python3
 . "$(dirname "$0")/../cli/lib.sh"
@@ -20,12 +19,6 @@ words()
     "$@" >"$out" 2>"$err" || code=$?
     check "$(basename "$1") ${2##*/}" $code
 }
-
-words "$python" "$top/tests/farm/argo.py" "$farm/bake.argo.yaml" output='argo/<MAP>.<UDIM>.exr' options="$options" tasks=5 tiles=2
-holds "each task has its part" [ "$(ls plan.*.part | wc -l)" -eq 5 ]
-sed 's/withSequence/withSequences/' "$farm/bake.argo.yaml" >wrong.yaml
-"$python" "$top/tests/farm/argo.py" wrong.yaml >"$out" 2>&1
-holds "a word that Argo does not know is found" [ $? -ne 0 ]
 
 words "$openjd" check "$farm/deadline/template.yaml"
 "$python" - "$farm/deadline" >values 2>"$err" <<'END'
@@ -49,7 +42,6 @@ words "$openjd" run "$farm/deadline/template.yaml" --step Merge --run-dependenci
     -p BakeOptions="$options"
 for map in normal height; do
     for tile in 1001 1002; do
-        same one_$map.$tile.exr argo/$map.$tile.exr
         same one_$map.$tile.exr maps/map_$map.$tile.exr
     done
 done
