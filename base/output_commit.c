@@ -102,20 +102,19 @@ static bool is_regular(const char *path)
     return lstat(path, &info) == 0 && S_ISREG(info.st_mode);
 }
 
-/* Gives a file its final name so that this can be taken back. An old file is marked first: if the
- * process is killed, the next job removes it. Returns EINVAL if the file system cannot do it. */
+/* Gives a file its final name so that this can be taken back. An old file has the temporary name
+ * then: if the process is killed, the next job removes it. Returns EINVAL if the file system cannot
+ * do it. */
 static int exchange_names(struct bsq_output *output)
 {
     int error = rename_retrying(output->temp_path, output->path, RENAME_NOREPLACE);
     output->created = error == 0;
     if (error != EEXIST)
         return error;
-    if (!is_regular(output->path) || !bsq_temp_mark_path(output->path))
+    if (!is_regular(output->path))
         return EINVAL;
     error = rename_retrying(output->temp_path, output->path, RENAME_EXCHANGE);
     output->exchanged = error == 0;
-    if (error)
-        bsq_temp_unmark_path(output->path);
     return error;
 }
 
@@ -140,12 +139,10 @@ static void take_back_name(struct bsq_output *output)
 {
     if (!bsq_temp_names_file(output->path, output->fd))
         return;
-    if (output->exchanged && rename_retrying(output->temp_path, output->path, 0) == 0) {
-        bsq_temp_unmark_path(output->path);
+    if (output->exchanged && rename_retrying(output->temp_path, output->path, 0) == 0)
         forget_temp_name(output);
-    } else if (output->created) {
+    else if (output->created)
         unlink(output->path);
-    }
 }
 
 /* Opens the directory of an output, to sync it after the rename. */
@@ -168,18 +165,6 @@ static int sync_directory(struct bsq_output *output)
     if (error == 0 || error == EINVAL || error == EROFS) /* not every file system can */
         return 0;
     return bsq_fail_errno(output->ctx, BSQ_EIO, error, "%s: syncing the directory", output->path);
-}
-
-/* Removes the file that an output has replaced. Other hard links of it lose the mark. */
-static void remove_old(struct bsq_output *output)
-{
-    int fd = bsq_open(output->temp_path, O_RDONLY | O_NOFOLLOW | O_NONBLOCK, 0);
-    unlink(output->temp_path);
-    forget_temp_name(output);
-    if (fd >= 0) {
-        bsq_temp_unmark(fd);
-        close(fd);
-    }
 }
 
 /* ---- commit ---- */
@@ -222,9 +207,10 @@ static int commit_all(struct bsq_output *const *outputs, unsigned count)
         status = give_names(outputs, count);
     for (unsigned i = 0; status == 0 && i < count; i++) {
         bsq_note_written(outputs[i]->ctx, outputs[i]->noted);
-        bsq_temp_unmark(outputs[i]->fd);
-        if (outputs[i]->exchanged)
-            remove_old(outputs[i]);
+        if (outputs[i]->exchanged) {
+            unlink(outputs[i]->temp_path); /* the file that this output has replaced */
+            forget_temp_name(outputs[i]);
+        }
     }
     for (unsigned i = 0; status == 0 && i < count; i++)
         status = sync_directory(outputs[i]);

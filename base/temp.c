@@ -13,7 +13,6 @@
 #include <sys/file.h>
 #include <sys/random.h>
 #include <sys/stat.h>
-#include <sys/xattr.h>
 #include <unistd.h>
 
 #include "base/context_internal.h"
@@ -79,40 +78,6 @@ static size_t name_length(const char *entry)
     return strcmp(entry + 1 + length, ending.text) == 0 ? length : 0;
 }
 
-/* ---- marks ---- */
-
-static const char mark[] = "user.bisque.temporary";
-
-static void set_mark(int fd)
-{
-    fsetxattr(fd, mark, "", 0, 0); /* without a mark the file is removed later, or never */
-}
-
-bool bsq_temp_mark_path(const char *path)
-{
-    return setxattr(path, mark, "", 0, 0) == 0 || errno == EOPNOTSUPP;
-}
-
-void bsq_temp_unmark_path(const char *path)
-{
-    removexattr(path, mark);
-}
-
-void bsq_temp_unmark(int fd)
-{
-    fremovexattr(fd, mark);
-}
-
-/* Returns whether a file with a temporary name is one of ours. */
-static bool is_ours(int fd, const struct stat *info)
-{
-    if (!S_ISREG(info->st_mode))
-        return false;
-    if (fgetxattr(fd, mark, NULL, 0) >= 0)
-        return true;
-    return errno == EOPNOTSUPP || (errno == ENODATA && info->st_size == 0);
-}
-
 /* ---- locks ---- */
 
 /* Returns 0 if this descriptor now holds the lock, or if the file system has no locks. */
@@ -150,7 +115,7 @@ static void remove_unowned(int directory_fd, const char *entry)
     fd = bsq_fd_above_standard(fd);
     if (fd < 0)
         return;
-    if (fstat(fd, &info) == 0 && is_ours(fd, &info) && flock(fd, LOCK_EX | LOCK_NB) == 0 &&
+    if (fstat(fd, &info) == 0 && S_ISREG(info.st_mode) && flock(fd, LOCK_EX | LOCK_NB) == 0 &&
         names_file_at(directory_fd, entry, fd))
         unlinkat(directory_fd, entry, 0);
     close(fd);
@@ -286,10 +251,8 @@ static int create_locked(const char *path, mode_t mode, int *fd)
     *fd = bsq_open(path, O_RDWR | O_CREAT | O_EXCL, mode);
     if (*fd < 0)
         return errno;
-    if (lock(*fd) == 0 && bsq_temp_names_file(path, *fd)) {
-        set_mark(*fd);
+    if (lock(*fd) == 0 && bsq_temp_names_file(path, *fd))
         return 0;
-    }
     close(*fd);
     *fd = -1;
     return EEXIST;
@@ -317,7 +280,6 @@ int bsq_temp_link(int fd, const char *directory, const char *name, char **path)
 {
     char source[32];
     int error = lock(fd) == 0 ? EEXIST : EWOULDBLOCK;
-    set_mark(fd);
     descriptor_path(fd, source);
     *path = NULL;
     for (int attempt = 0; attempt < ATTEMPTS && error == EEXIST; attempt++) {

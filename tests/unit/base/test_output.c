@@ -242,14 +242,12 @@ CONTEXT_TEST(test_default_access_list, 1, 0)
 
 /* Creates a file with a temporary name of "out", and opens and discards an output of that name in
  * another job. Returns whether the file is still there. */
-static bool stays(struct bsq_ctx *ctx, const char *content, bool marked, bool locked)
+static bool stays(struct bsq_ctx *ctx, const char *content, bool locked)
 {
     char *path;
     int fd;
     assert_int_equal(bsq_temp_named(".", "out", 0666, &path, &fd), 0);
     assert_int_equal(write(fd, content, strlen(content)), strlen(content));
-    if (!marked)
-        bsq_temp_unmark(fd);
     if (!locked)
         close(fd);
     bsq_forget_files(ctx);
@@ -267,21 +265,14 @@ CONTEXT_TEST(test_sweep_removes_own_files_only, 1, 0)
                                         ".out.abcdefghijkl.tmp", ".out..............tmp"};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
         test_text(names[i], "");
-        setxattr(names[i], "user.bisque.temporary", "", 0, 0);
         bsq_forget_files(ctx);
         bsq_output_discard(start(ctx, "out"));
         assert_int_equal(unlink(names[i]), 0);
     }
-    assert_false(stays(ctx, "a killed job's", true, false));
-    assert_false(stays(ctx, "", true, false));
-    assert_true(stays(ctx, "a running job's", true, true));
-    assert_true(stays(ctx, "", false, true));
-    /* Killed between open() and the mark. */
-    assert_false(stays(ctx, "", false, false));
-    test_text("attributes", "");
-    bool can_mark = setxattr("attributes", "user.test", "", 0, 0) == 0;
-    unlink("attributes");
-    assert_int_equal(stays(ctx, "a user's", false, false), can_mark);
+    assert_false(stays(ctx, "a killed job's", false));
+    assert_false(stays(ctx, "", false));
+    assert_true(stays(ctx, "a running job's", true));
+    assert_true(stays(ctx, "", true));
     assert_int_equal(test_files_here(), 0);
 }
 
@@ -311,14 +302,6 @@ CONTEXT_TEST(test_directories_are_read_once, 1, 0)
     assert_int_equal(rmdir("sub"), 0);
 }
 
-CONTEXT_TEST(test_outputs_have_no_mark, 1, 0)
-{
-    test_text("out", "old");
-    write_new(ctx, "out");
-    assert_int_equal(getxattr("out", "user.bisque.temporary", NULL, 0), -1);
-    unlink("out");
-}
-
 /* ---- outputs that belong together ---- */
 
 static struct bsq_output_group start_group(struct bsq_ctx *ctx)
@@ -340,11 +323,9 @@ CONTEXT_TEST(test_group_appears, 1, 0)
     for (const char *name = "abc"; *name; name++) {
         char path[] = {*name, '\0'};
         test_expect_text(path, "new");
-        assert_int_equal(getxattr(path, "user.bisque.temporary", NULL, 0), -1);
         unlink(path);
     }
     test_expect_text("other", "old");
-    assert_int_equal(getxattr("other", "user.bisque.temporary", NULL, 0), -1);
     unlink("other");
     assert_int_equal(test_files_here(), 0);
 
