@@ -254,7 +254,7 @@ packages_build := gcc g++ pkg-config libopenvdb-dev libboost-dev libopenexr-dev 
     libxxhash-dev zlib1g-dev libdeflate-dev libisal-dev libzstd-dev opencl-c-headers
 packages_test  := libcmocka-dev libembree-dev libnanovdb-dev libnanovdb-tools libopenvdb-tools \
     pocl-opencl-icd \
-    ocl-icd-libopencl1 jq mandoc python3 python3-numpy python3-xxhash
+    ocl-icd-libopencl1 jq locales mandoc python3 python3-numpy python3-xxhash
 # Compiles the kernel for NVIDIA GPUs. Without it the build has no CUDA.
 packages_cuda  := $(if $(ptx_clang)$(ptx_nvcc),,clang)
 packages := $(packages_build) $(packages_test)

@@ -142,7 +142,10 @@ const char *bsq_tmpdir(const struct bsq_ctx *ctx)
 static char *format_line(const char *format, va_list arguments)
 {
     char *text = NULL;
-    if (vasprintf(&text, format, arguments) < 0)
+    const locale_t host = bsq_plain_numbers();
+    const int length = vasprintf(&text, format, arguments);
+    uselocale(host);
+    if (length < 0)
         return no_memory_text;
     char *line = bsq_escape(text, false);
     free(text);

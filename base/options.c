@@ -5,6 +5,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "base/text.h"
+
 int bsq_option_word(const char *words, const char *word)
 {
     int index = 0;
@@ -53,7 +55,9 @@ const char *bsq_option_text(const struct bsq_option *row, const void *options,
     }
     if (row->words && number < 0)
         return copy_word(row->words, 0, buffer);
+    const locale_t host = bsq_plain_numbers();
     snprintf(buffer, BSQ_OPTION_TEXT_BYTES, "%.10g", number);
+    uselocale(host);
     return isfinite(number) ? buffer : NULL;
 }
 

@@ -6,6 +6,14 @@
 #include <stdlib.h>
 #include <string.h>
 
+/* ---- numbers ---- */
+
+/* The C library has the locale "C" as a constant, so this neither allocates nor fails. */
+locale_t bsq_plain_numbers(void)
+{
+    return uselocale(newlocale(LC_ALL_MASK, "C", (locale_t)0));
+}
+
 /* ---- escaping ---- */
 
 /* Decodes the UTF-8 character at `text` (RFC 3629, section 4). Returns its bytes; 0 if it is not

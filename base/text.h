@@ -1,9 +1,15 @@
 /* text.h - texts: copies; distinct ones in a table, with the memory that they take; what a text in
- * JSON needs when it is parsed. */
+ * JSON needs when it is parsed; numbers in texts. */
 #ifndef BSQ_TEXT_H
 #define BSQ_TEXT_H
 
+#include <locale.h>
+
 #include "base/context.h"
+
+/* Lets this thread print and read numbers with a decimal point, whatever the locale of the program
+ * that uses the library is. Returns the locale before it, which uselocale() sets again. */
+locale_t bsq_plain_numbers(void);
 
 /* Returns a bound of the bytes that Jansson 2 needs for a text of `size` bytes, with the system's
  * overhead of each block. Reserve them before parsing. */

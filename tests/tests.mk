@@ -10,8 +10,9 @@ needs.base     := $(archive.base)
 needs.formats  := $(archive.formats) $(archive.base)
 needs.libvoxel := $(archive.libvoxel) $(archive.formats) $(archive.base)
 needs.libbake  := $(archive.libbake) $(archive.formats) $(archive.base)
-# These tests run jobs of both stages and let memory and threads run out.
+# These tests run jobs of both stages.
 needs.exhaustion := $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base)
+needs.locale     := $(needs.exhaustion)
 sanitizer_wraps := $(if $(filter asan tsan,$(config)),$(addprefix -Wl$(comma)--wrap=,malloc calloc \
     realloc pthread_create))
 $(filter $(BUILD)/tests/exhaustion/%,$(unit_bins)): LDFLAGS += $(sanitizer_wraps)

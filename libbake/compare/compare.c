@@ -306,7 +306,9 @@ done:
 static int read_numbers(const struct fmt_exr_image *image, const char *name, double out[3])
 {
     const char *text = fmt_exr_image_attribute(image, name);
+    const locale_t host = bsq_plain_numbers();
     const int count = text ? sscanf(text, "%lf %lf %lf", &out[0], &out[1], &out[2]) : 0;
+    uselocale(host);
     for (int k = count; k > 0 && k < 3; k++)
         out[k] = out[0];
     return count;
@@ -472,7 +474,9 @@ static int write_heat_map(struct bsq_ctx *ctx, const struct bake_comparison *com
                                               .attribute_count = 1};
     struct fmt_image_writer *writer = NULL;
     int status;
+    const locale_t host = bsq_plain_numbers();
     snprintf(scale, sizeof scale, "0 to %.6g %s", top, bake_compare_unit(comparison->kind));
+    uselocale(host);
     BSQ_TRY(fmt_image_create(ctx, &fmt_png_format, path, &options, &writer));
     BSQ_TRY(write_heat_rows(ctx, comparison, top, writer));
     status = fmt_image_hand_over(writer, out);

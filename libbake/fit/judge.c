@@ -9,6 +9,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "base/text.h"
 #include "libbake/fit/probes.h"
 
 enum { MOST_POSES = 160, TURNS = 24 };
@@ -188,9 +189,11 @@ static void add_key(char out[160], const char *format, ...)
     size_t used = strlen(out);
     va_list arguments;
     used += (size_t)snprintf(out + used, 160 - used, "%s", used > 0 ? "," : "--low ");
+    const locale_t host = bsq_plain_numbers();
     va_start(arguments, format);
     vsnprintf(out + used, 160 - used, format, arguments);
     va_end(arguments);
+    uselocale(host);
 }
 
 /* Writes what a pose changes, as options. They also have what the options change by now. */

@@ -7,6 +7,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "base/text.h"
 /* Returns the place in a texel of the transfer map that the mask is multiplied by; 0: none. */
 static uint32_t place_in_mask(const struct bake_options *options, uint32_t maps)
 {
@@ -96,8 +97,10 @@ void bake_describe_map(const struct bake_options *options, unsigned number,
     const bool packed = number >= packs;
     out->count = 0;
     snprintf(out->text[0], sizeof out->text[0], "%u x %u", options->samples, options->samples);
+    const locale_t host = bsq_plain_numbers();
     snprintf(out->text[1], sizeof out->text[1], "%.9g", traced->front);
     snprintf(out->text[2], sizeof out->text[2], "%.9g", traced->back);
+    uselocale(host);
     bake_add_attribute(out, "software", "Bisque " BSQ_VERSION);
     bake_add_attribute(out, "bisque:version", BSQ_VERSION);
     bake_add_attribute(out, "bisque:map",
@@ -125,9 +128,11 @@ static void add_numbers(struct bake_attributes *out, const char *name, const dou
 {
     char *text = out->text[out->count];
     size_t length = 0;
+    const locale_t host = bsq_plain_numbers();
     for (uint32_t c = 0; c < count; ++c)
         length += (size_t)snprintf(text + length, sizeof out->text[0] - length, "%s%.*g",
                                    c ? " " : "", digits, numbers[c]);
+    uselocale(host);
     bake_add_attribute(out, name, text);
 }
 

@@ -7,6 +7,7 @@
 #include <strings.h>
 
 #include "base/sort_array.h"
+#include "base/text.h"
 #include "base/vec.h"
 #include "formats/asset/glb.h"
 
@@ -154,7 +155,9 @@ static int write_file(struct writing *w, void (*write)(struct writing *w))
     if (!w->file)
         return bsq_fail(w->ctx, BSQ_ENOMEM, "out of memory for writing a mesh");
     setvbuf(w->file, w->buffer, _IOFBF, BUFFER_BYTES);
+    const locale_t host = bsq_plain_numbers();
     write(w);
+    uselocale(host);
     fclose(w->file); /* the status tells of failures */
     return w->status;
 }

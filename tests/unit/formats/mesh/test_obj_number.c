@@ -2,6 +2,7 @@
 #include <locale.h>
 
 #include "formats/mesh/obj_line.h"
+#include "tests/unit/comma_locale.h"
 #include "tests/unit/test.h"
 
 static uint64_t random_state; /* of test_random() */
@@ -159,10 +160,7 @@ TEST(test_midpoints)
 
 TEST(test_other_locale)
 {
-    static const char *const comma_locales[] = {"de_DE.UTF-8", "fr_FR.UTF-8", "de_DE.utf8"};
-    for (size_t i = 0; i < sizeof comma_locales / sizeof *comma_locales; i++)
-        if (setlocale(LC_ALL, comma_locales[i]))
-            break;
+    test_set_comma_locale();
     check("1.5", ' ');
     check("3.14159265358979323846264338327950288", ' ');
     check("2.2250738585072011e-308", ' ');
