@@ -94,42 +94,23 @@ static int begin_scan(struct scan *scan, struct bsq_ctx *ctx,
     return status;
 }
 
-/* Drops what was read and prepares to read again, with the scales that the files' colours turned
- * out to have. */
-static int begin_again(struct scan *scan, const struct vox_sort_options *options,
-                       struct partition *out)
-{
-    struct bsq_ctx *ctx = scan->ctx;
-    const struct sort_limits *limits = scan->limits;
-    float *scales = NULL;
-    const uint32_t count = (uint32_t)scan->file_count;
-    int status = vox_scan_list_color_scales(scan, &scales);
-    vox_partition_free(scan, out);
-    vox_scan_free(scan);
-    const int begun = begin_scan(scan, ctx, options, limits);
-    scan->reads_again = true;
-    scan->known_scales = scales;
-    scan->known_count = status == 0 ? count : 0;
-    return status < 0 ? status : begun;
-}
-
 /* Reads in one pass if samples of the text say that this is possible, and again in two passes if
- * they are wrong. Reads again, too, if the first colours of a file gave a wrong scale: the first
- * reading stops as soon as it looks wrong; a later one goes to the end and then knows it. */
+ * they are wrong. */
 static int read_passes(struct scan *scan, struct fmt_mesh_reader *reader,
                        const struct vox_sort_options *options, bool one_pass,
                        struct scan_textures *textures, struct partition *out)
 {
-    enum partition_passes passes = one_pass ? PARTITION_ONE_PASS : PARTITION_TWO_PASSES;
-    int status;
-    while ((status = read_batches(scan, reader, options, passes, textures, out)) == BSQ_RETRY) {
-        if (!scan->misread_colors)
-            passes = PARTITION_TWO_PASSES;
-        status = begin_again(scan, options, out);
-        if (status < 0)
-            break;
-    }
-    return status;
+    struct bsq_ctx *ctx = scan->ctx;
+    const struct sort_limits *limits = scan->limits;
+    const enum partition_passes passes = one_pass ? PARTITION_ONE_PASS : PARTITION_TWO_PASSES;
+    int status = read_batches(scan, reader, options, passes, textures, out);
+    if (status != BSQ_RETRY)
+        return status;
+    vox_partition_free(scan, out);
+    vox_scan_free(scan);
+    status = begin_scan(scan, ctx, options, limits);
+    return status < 0 ? status
+                      : read_batches(scan, reader, options, PARTITION_TWO_PASSES, textures, out);
 }
 
 /* Turns the library's placements into those of the readers. */

@@ -259,6 +259,8 @@ static int fetch_range(void *arg, uint64_t number, unsigned worker)
         uint64_t end_word = read_end(kind, word, end);
         uint64_t count = (end_word < words ? 64 * end_word : kind->count) - 64 * word;
         status = vox_spill_read(&stream->spill, 64 * word * bytes, count * bytes, buffer);
+        if (status == 0 && fetch->stream == SCAN_COLORS)
+            vox_scan_scale_colors(w->scan, 64 * word, count, (uint32_t *)(void *)buffer);
         if (status == 0)
             gather(kind, word, end_word, buffer, bytes, w->elements[fetch->stream]);
         word = end_word - 1;

@@ -282,13 +282,6 @@ static int read_pass(struct reading *r, struct fmt_mesh_reader *reader, bool ele
     return fmt_mesh_read_steps(reader, &steps, r, &r->scan->totals);
 }
 
-/* Reads all elements, and the faces too if asked, and checks what needs all elements. */
-static int read_elements(struct reading *r, struct fmt_mesh_reader *reader, bool faces)
-{
-    int status = read_pass(r, reader, true, faces);
-    return status == 0 ? vox_scan_check_color_scales(r->scan) : status;
-}
-
 int vox_partition_read(struct scan *scan, struct fmt_mesh_reader *reader, const char *beside,
                        enum partition_passes passes, struct partition *out)
 {
@@ -301,9 +294,8 @@ int vox_partition_read(struct scan *scan, struct fmt_mesh_reader *reader, const 
     int status;
     BSQ_TRY(bsq_calloc(scan->ctx, "faces", r.slot_count, sizeof *r.slots, &r.slots));
     if (passes == PARTITION_TWO_PASSES)
-        BSQ_TRY(read_elements(&r, reader, false));
-    status = passes == PARTITION_ONE_PASS ? read_elements(&r, reader, true)
-                                          : read_pass(&r, reader, false, true);
+        BSQ_TRY(read_pass(&r, reader, true, false));
+    status = read_pass(&r, reader, passes == PARTITION_ONE_PASS, true);
 done:
     for (unsigned i = 0; r.slots && i < r.slot_count; i++)
         vox_triangulator_free(&r.slots[i].triangulator);

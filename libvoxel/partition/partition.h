@@ -66,10 +66,8 @@ enum partition_passes {
 /* Reads the scan and partitions its faces. `out` is zero at first; free it with
  * vox_partition_free(), also after failure. The scan must be finished before the layout is known:
  * call vox_scan_finish(), vox_scan_find_materials() and vox_tuple_layout_for() next. Errors:
- * those of the reader; BSQ_RETRY if one pass is asked for and elements follow faces, or if the
- * scan's misread_colors is set; BSQ_ENOMEM if memory is too small for a scan of this size or its
- * polygons.
- */
+ * those of the reader; BSQ_RETRY if one pass is asked for and elements follow faces; BSQ_ENOMEM if
+ * memory is too small for a scan of this size or its polygons. */
 int vox_partition_read(struct scan *scan, struct fmt_mesh_reader *reader, const char *beside,
                        enum partition_passes passes, struct partition *out);
 void vox_partition_free(const struct scan *scan, struct partition *partition);

@@ -42,8 +42,10 @@ void vox_tuple_vertex(const struct tuple_layout *layout, const struct scan *scan
     uint64_t v = tuple_vertex_index(layout, corner);
     memset(out, 0, sizeof *out);
     memcpy(out->position, stream_at(&streams[SCAN_POSITIONS], v, 12), 12);
-    if (scan->attributes & FMT_TRIS_COLORS)
+    if (scan->attributes & FMT_TRIS_COLORS) {
         memcpy(&out->color, stream_at(&streams[SCAN_COLORS], v, 4), 4);
+        vox_scan_scale_colors(scan, v, 1, &out->color);
+    }
     if (scan->attributes & FMT_TRIS_TEXCOORDS) {
         uint64_t t = tuple_load(corner + layout->index_at[FMT_MESH_TEXCOORD],
                                 layout->index_bytes[FMT_MESH_TEXCOORD]);

@@ -21,7 +21,7 @@
 /* Vertices have two streams, the others one. */
 enum scan_stream {
     SCAN_POSITIONS, /* float[3], relative to the origin */
-    SCAN_COLORS,    /* RGBA8 sRGB; as long as the positions if has_colors is set */
+    SCAN_COLORS,    /* see vox_scan_scale_colors(); as long as the positions if has_colors is set */
     SCAN_TEXCOORDS, /* float[2] */
     SCAN_NORMALS,   /* octahedral, or SCAN_NO_NORMAL */
     SCAN_STREAM_COUNT
@@ -52,7 +52,6 @@ struct scan_loss {
 
 /* Numbers of colours that have some such component. */
 struct color_votes {
-    uint64_t nonzero;    /* above 0 */
     uint64_t fractional; /* above 0 and at most COLOR_BRIGHT, but not whole */
     uint64_t large;      /* above COLOR_UNIT */
     uint64_t bright;     /* above COLOR_BRIGHT */
@@ -78,7 +77,8 @@ struct scan_file {
     enum scan_paint paint;    /* late colours */
     /* Of vertex colours in batches that do not say their scale. */
     struct color_votes color_votes;
-    float color_scale; /* to 0..255, that they are stored with; 0: none but black so far */
+    uint64_t clamped_colors[2]; /* of these: vertices with a value out of 0 to 1, out of 0 to 255 */
+    float color_scale;          /* to 0..255; set by vox_scan_finish() */
 };
 
 /* What faces with a material have. */
@@ -125,13 +125,8 @@ struct scan {
     double origin[3];
     float bounds_min[3], bounds_max[3]; /* of all vertices; valid if there are any */
     bool origin_known, has_colors;
-    bool reads_again;         /* some was read before; set after vox_scan_init(), as is: */
-    float *known_scales;      /* color_scale of the files by the earlier reading; owned */
-    uint32_t known_count;     /* of these files */
-    bool misread_colors;      /* a color_scale turned out to be wrong */
-    float batch_scale;        /* factor from the colours of the batch that is appended to 0..255 */
-    bool has_telling_file;    /* the colours of some file tell their scale */
-    uint32_t telling_file;    /* the first such file; files that do not tell take its scale */
+    float batch_scale;        /* factor from the colours of the batch that is appended to 0..255;
+                                 0: it is not known yet */
     uint64_t clamped_colors;  /* vertices */
     uint64_t merged_vertices; /* see float_precision.h */
     struct scan_missing missing[FMT_MESH_KIND_COUNT]; /* of vertices and texture coordinates */
@@ -181,16 +176,14 @@ void vox_scan_free(struct scan *scan);
 
 /* Returns whether a batch has vertices, texture coordinates, normals or late colours. */
 bool vox_scan_has_elements(const struct fmt_mesh_batch *batch);
-/* Appends a batch's elements to the streams. Serial, in the order of the file. Errors: BSQ_RETRY,
- * with misread_colors, if earlier batches of the first reading got another scale of colours;
+/* Appends a batch's elements to the streams. Serial, in the order of the file. Errors:
  * BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA. */
 int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_batch *batch);
-/* Returns BSQ_RETRY and sets misread_colors if colours of a file have another scale than they were
- * stored with. */
-int vox_scan_check_color_scales(struct scan *scan);
-/* Sets *out to the scales that the files have as far as they were read, of scan->file_count files.
- * The caller frees it with bsq_free(). Errors: BSQ_ENOMEM. */
-int vox_scan_list_color_scales(const struct scan *scan, float **out);
+/* Turns colours of the vertices from `first` on, as the stream has them, into RGBA8 sRGB in place.
+ * Those whose scale was known when they were read are such colours. Call vox_scan_finish() before.
+ */
+void vox_scan_scale_colors(const struct scan *scan, uint64_t first, uint64_t count,
+                           uint32_t *colors);
 /* Prefaults memory that streams will fill next. From any thread. */
 void vox_scan_prefault(struct scan *scan);
 /* Ends appending: the streams can be read from then on. A second call does nothing. */

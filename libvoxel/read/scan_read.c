@@ -46,7 +46,6 @@ void vox_scan_free(struct scan *scan)
     bsq_free(scan->ctx, scan->material_map);
     bsq_free(scan->ctx, scan->material_uses);
     bsq_free(scan->ctx, scan->files);
-    bsq_free(scan->ctx, scan->known_scales);
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         bsq_free(scan->ctx, scan->missing[kind].bits);
     bsq_free(scan->ctx, scan->missing_colors.bits);
@@ -208,14 +207,65 @@ static uint32_t pack_color(struct scan *scan, const float color[3], float scale)
     return packed;
 }
 
+/* Packs a colour that may be from 0 to 1 or from 0 to 255 in 9 bits a component: a value up to 1 as
+ * its byte of the first scale, a larger one as that of the second, plus 256. The upper byte tells
+ * it from RGBA8, whose alpha is 255. */
+static uint32_t pack_unscaled(struct scan_file *file, const float color[3])
+{
+    uint32_t packed = 0;
+    bool out_of_1 = false, out_of_255 = false;
+    if (!scan_color_given(color))
+        return SCAN_DEFAULT_COLOR;
+    for (int i = 0; i < 3; i++) {
+        const float value = color[i] > 0.0f ? color[i] : 0.0f;
+        const float byte = value < 255.0f ? value : 255.0f;
+        out_of_1 |= color[i] < 0.0f || value > 1.0f;
+        out_of_255 |= color[i] < 0.0f || value > 255.0f;
+        packed |= (value > 1.0f ? 256 + (uint32_t)(byte + 0.5f) : (uint32_t)(value * 255.0f + 0.5f))
+                  << 9 * i;
+    }
+    file->clamped_colors[0] += out_of_1;
+    file->clamped_colors[1] += out_of_255;
+    return packed;
+}
+
+/* Returns the RGBA8 of a colour that pack_unscaled() packed. */
+static uint32_t scale_color(uint32_t packed, float scale)
+{
+    uint32_t color = 0xff000000u;
+    for (int i = 0; i < 3; i++) {
+        const uint32_t part = packed >> 9 * i & 511;
+        const uint32_t as_unit = part < 256 ? part : 255,
+                       as_byte = part < 256 ? part / 128 : part - 256;
+        color |= (scale == 1.0f ? as_byte : as_unit) << 8 * i;
+    }
+    return color;
+}
+
+void vox_scan_scale_colors(const struct scan *scan, uint64_t first, uint64_t count,
+                           uint32_t *colors)
+{
+    uint32_t file = 0;
+    for (uint64_t i = 0; i < count; i++) {
+        if (colors[i] >> 24 == 0xff)
+            continue;
+        while (first + i >= scan->files[file].ends[FMT_MESH_VERTEX])
+            file++;
+        colors[i] = scale_color(colors[i], scan->files[file].color_scale);
+    }
+}
+
 static int convert_colors(struct scan *scan, const struct fmt_mesh_batch *batch, uint64_t first,
                           uint64_t count, void *out)
 {
     uint32_t *to = out;
-    for (uint64_t i = first; i < first + count; i++)
-        *to++ = batch->colors && i >= batch->vertex_base
-                    ? pack_color(scan, batch->colors[i - batch->vertex_base], scan->batch_scale)
-                    : SCAN_DEFAULT_COLOR;
+    for (uint64_t i = first; i < first + count; i++) {
+        const float *color =
+            batch->colors && i >= batch->vertex_base ? batch->colors[i - batch->vertex_base] : NULL;
+        *to++ = !color                     ? SCAN_DEFAULT_COLOR
+                : scan->batch_scale > 0.0f ? pack_color(scan, color, scan->batch_scale)
+                                           : pack_unscaled(&scan->files[batch->file], color);
+    }
     return 0;
 }
 
@@ -287,13 +337,10 @@ static bool late_colors_fit(const struct scan *scan)
 
 /* ---- the scale of vertex colours: from 0 to 1, or from 0 to 255 ----
  *
- * OBJ files, and PLY files with real numbers, do not say it. All colours of a file vote, so the
- * result depends neither on their order nor on how a file is packed.
- *
- * Colours are stored as they come, with the scale that those before them tell. If later ones tell
- * another scale, the scan is read again. Black has no scale, so a file may begin with any number of
- * black vertices. A file of black, pure and white colours alone does not tell, so it takes the
- * scale of the first file that does. */
+ * OBJ files, and PLY files with real numbers, do not say it. All colours of a file tell it
+ * together, so the result depends neither on their order nor on how a file is packed. They are
+ * stored so that they can get either scale when chunks are made (pack_unscaled()). A file of black,
+ * pure and white colours alone does not tell, so it takes the scale of the first file that does. */
 
 /* A damaged value in a thousand colours must not turn a scan black. */
 enum { FRACTIONAL_PER_BRIGHT = 1000 };
@@ -311,16 +358,14 @@ void vox_color_votes_add(struct color_votes *votes, const float (*colors)[3], ui
     enum { RUN = 1 << 16 }; /* whose numbers fit in 32 bits, for vector instructions */
     while (count > 0) {
         const uint32_t run = count < RUN ? (uint32_t)count : RUN;
-        uint32_t nonzero = 0, fractional = 0, large = 0, bright = 0;
+        uint32_t fractional = 0, large = 0, bright = 0;
         for (uint32_t v = 0; v < run; v++) {
             const float r = colors[v][0], g = colors[v][1], b = colors[v][2];
             const float of_two = r > g ? r : g, most = of_two > b ? of_two : b;
-            nonzero += most > 0.0f;
             large += most > COLOR_UNIT;
             bright += most > COLOR_BRIGHT;
             fractional += is_fractional(r) | is_fractional(g) | is_fractional(b);
         }
-        votes->nonzero += nonzero;
         votes->large += large;
         votes->bright += bright;
         votes->fractional += fractional;
@@ -338,58 +383,18 @@ float vox_color_votes_scale(const struct color_votes *votes)
     return votes->bright > votes->fractional / FRACTIONAL_PER_BRIGHT ? 1.0f : 255.0f;
 }
 
-/* Returns the scale of a file's colours so far: 255 or 1. */
-static float scale_of(const struct scan *scan, const struct scan_file *file)
+/* Finds the scale of the colours of each file when all are read. */
+static void find_color_scales(struct scan *scan)
 {
-    const float own = vox_color_votes_scale(&file->color_votes);
-    if (own > 0.0f || !scan->has_telling_file)
-        return own > 0.0f ? own : 255.0f;
-    return vox_color_votes_scale(&scan->files[scan->telling_file].color_votes);
-}
-
-/* Returns whether a file's colours were stored with another scale than they have. */
-static bool is_misread(const struct scan *scan, const struct scan_file *file)
-{
-    return file->color_votes.nonzero > 0 && file->color_scale != scale_of(scan, file);
-}
-
-/* Finds the factor from a batch's colours to 0..255, from the colours of its file so far. Returns
- * BSQ_RETRY and sets misread_colors if earlier batches of the first reading got another one. */
-static int find_color_scale(struct scan *scan, const struct fmt_mesh_batch *batch, float *scale)
-{
-    struct scan_file *file = &scan->files[batch->file];
-    if (!batch->colors || batch->color_white > 0.0f) {
-        *scale = batch->colors ? 255.0f / batch->color_white : 0.0f;
-        return 0;
+    float usual = 0.0f;
+    for (uint64_t i = 0; i < scan->file_count && usual == 0.0f; i++)
+        usual = vox_color_votes_scale(&scan->files[i].color_votes);
+    for (uint64_t i = 0; i < scan->file_count; i++) {
+        struct scan_file *file = &scan->files[i];
+        const float own = vox_color_votes_scale(&file->color_votes);
+        file->color_scale = own > 0.0f ? own : usual > 0.0f ? usual : 255.0f;
+        scan->clamped_colors += file->clamped_colors[file->color_scale == 1.0f];
     }
-    vox_color_votes_add(&file->color_votes, batch->colors, batch->vertex_count);
-    if (!scan->has_telling_file && vox_color_votes_scale(&file->color_votes) > 0.0f) {
-        scan->has_telling_file = true;
-        scan->telling_file = batch->file;
-    }
-    if (file->color_scale == 0.0f && batch->file < scan->known_count)
-        file->color_scale = scan->known_scales[batch->file];
-    if (file->color_scale == 0.0f && file->color_votes.nonzero > 0)
-        file->color_scale = scale_of(scan, file);
-    *scale = file->color_scale > 0.0f ? file->color_scale : 255.0f;
-    scan->misread_colors = !scan->reads_again && is_misread(scan, file);
-    return scan->misread_colors ? BSQ_RETRY : 0;
-}
-
-int vox_scan_check_color_scales(struct scan *scan)
-{
-    for (uint64_t i = 0; i < scan->file_count; i++)
-        scan->misread_colors |= is_misread(scan, &scan->files[i]);
-    return scan->misread_colors ? BSQ_RETRY : 0;
-}
-
-int vox_scan_list_color_scales(const struct scan *scan, float **out)
-{
-    int status = bsq_calloc(scan->ctx, "files of a scan", scan->file_count + 1, sizeof **out, out);
-    for (uint64_t i = 0; status == 0 && i < scan->file_count; i++)
-        if (scan->files[i].color_votes.nonzero > 0)
-            (*out)[i] = scale_of(scan, &scan->files[i]);
-    return status;
 }
 
 /* ---- missing elements ---- */
@@ -490,7 +495,10 @@ static int add_vertices(struct scan *scan, const struct fmt_mesh_batch *batch)
     if (!scan->has_colors)
         return 0;
     BSQ_TRY(note_missing_colors(scan, batch));
-    BSQ_TRY(find_color_scale(scan, batch, &scan->batch_scale));
+    scan->batch_scale = batch->color_white > 0.0f ? 255.0f / batch->color_white : 0.0f;
+    if (batch->colors && batch->color_white == 0.0f)
+        vox_color_votes_add(&scan->files[batch->file].color_votes, batch->colors,
+                            batch->vertex_count);
     status = append(scan, batch, SCAN_COLORS, end, convert_colors);
 done:
     return status;
@@ -556,6 +564,7 @@ int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
     BSQ_TRY(vox_scan_finish_streams(scan));
     enter_file(scan, scan->path_count - 1); /* the last files may be empty */
     scan->has_colors |= late_colors_fit(scan);
+    find_color_scales(scan);
     if (scan->clamped_colors > 0)
         BSQ_TRY(bsq_warn_loss(scan->ctx, "%s: colours out of range were clamped at %llu %s",
                               scan->paths[0], (unsigned long long)scan->clamped_colors,

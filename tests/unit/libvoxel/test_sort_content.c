@@ -32,6 +32,36 @@ FIXTURE_TEST(colors_of_a_later_file_do_not_shift)
     free(got.list);
 }
 
+/* Also if the colours are in temporary files, of which only used ones are read. */
+FIXTURE_TEST(colors_of_each_file_have_its_scale)
+{
+    const char *paths[2] = {"scan.obj", "more.obj"};
+    test_text("scan.obj", "v 9 9 9 0 0 0\nv 8 9 9 1 1 1\nv 9 8 9 1 0 1\nv 8 8 9 0 0 1\n"
+                          "v 0 0 0 1 0 0\nv 1 0 0 0.2 0 0\nv 0 1 0 1.5 0 0.6\nf 5 6 7\n");
+    test_text("more.obj", "v 5 0 0 1 0 0\nv 6 0 0 51 0 0.4\nv 5 1 0 300 0 153\nf 1 2 3\n");
+    for (int in_files = 0; in_files < 2; in_files++) {
+        struct sorted_triangles got = {0};
+        struct sort_limits limits;
+        struct vox_sort_options options = sort_scan_obj();
+        options.scan_paths = paths;
+        options.scan_count = 2;
+        vox_sort_limits_for(128 * MIB, 2, &limits);
+        limits.stream_bytes = in_files ? 0 : limits.stream_bytes;
+        bsq_forget_files(f->ctx);
+        expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
+        assert_string_equal(f->warning,
+                            "scan.obj: colours out of range were clamped at 2 vertices");
+        read_sorted(f, &got, NULL);
+        assert_int_equal(color_at(&got, 0, 0), 0xff0000ffu);
+        assert_int_equal(color_at(&got, 1, 0), 0xff000033u);
+        assert_int_equal(color_at(&got, 0, 1), 0xff9900ffu);
+        assert_int_equal(color_at(&got, 5, 0), 0xff000001u);
+        assert_int_equal(color_at(&got, 6, 0), 0xff000033u);
+        assert_int_equal(color_at(&got, 5, 1), 0xff9900ffu);
+        free(got.list);
+    }
+}
+
 /* ---- places far from zero ---- */
 
 FIXTURE_TEST(ordinary_scans_have_no_origin)
