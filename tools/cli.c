@@ -7,6 +7,7 @@
 #include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
 #include <strings.h>
@@ -60,9 +61,25 @@ static void allow_open_files(void)
     }
 }
 
+/* If BSQ_PARENT has the process id of the parent, the program is interrupted when the parent dies.
+ * A parent that is another process means that it has died already. */
+static void die_with_parent(const char *program)
+{
+    const char *parent = getenv("BSQ_PARENT");
+    if (!parent)
+        return;
+    prctl(PR_SET_PDEATHSIG, SIGTERM);
+    if (strtol(parent, NULL, 10) == getppid())
+        return;
+    fprintf(stderr, "%s: interrupted: the parent, process %.20s (BSQ_PARENT), has ended\n", program,
+            parent);
+    _exit(-BSQ_EINTR);
+}
+
 void cli_begin(struct cli *cli, const char *program, char **argv)
 {
     reserve_standard_descriptors();
+    die_with_parent(program);
     allow_open_files();
     *cli = (struct cli){.program = program};
     clock_gettime(CLOCK_MONOTONIC, &cli->started);

@@ -223,10 +223,11 @@ json_t *cli_json_text(const char *text);
  * it to NULL; NULL stays. */
 void cli_json_append(json_t **json, json_t *value);
 void cli_json_set(json_t **json, const char *name, json_t *value);
-/* Returns `root` with program, version and cost added; NULL without memory. Takes over `root`. */
+/* Returns `root` with program, version, cost and the files that were read ("files_read") added;
+ * NULL without memory. Takes over `root`. */
 json_t *cli_complete_json(const struct cli *cli, json_t *root);
-/* Prints `root` with program, version and cost added. Takes over the caller's reference; NULL means
- * that there was no memory for it. */
+/* Prints what cli_complete_json() returns. Takes over the caller's reference; NULL means that there
+ * was no memory for it. */
 int cli_print_json(struct cli *cli, json_t *root);
 /* Prints a line on distances between surfaces; returns them as an object. */
 void cli_print_distances(const char *what, const struct vox_distances *distances);

@@ -4,6 +4,7 @@
 #include <string.h>
 #include <sys/resource.h>
 
+#include "base/job_files.h"
 #include "formats/file_kind.h"
 #include "tools/cli.h"
 
@@ -169,10 +170,30 @@ static json_t *cost_json(const struct cli *cli)
         "seconds_system", seconds_of(usage.ru_stime));
 }
 
+/* Returns an array of the files that the job has read, by other programs too, and of those that
+ * were missing. Files that it wrote itself are not listed. */
+static json_t *inputs_json(const struct cli *cli)
+{
+    json_t *list = json_array();
+    struct bsq_noted_input input;
+    char identity[BSQ_IDENTITY_BYTES];
+    int status = 0;
+    for (uint64_t next = 0; (status = bsq_next_input(cli->ctx, &next, &input)) > 0;) {
+        bsq_identity_text(&input.found, identity);
+        if (!input.own)
+            cli_json_append(&list, json_pack("{s:o, s:s}", "path", cli_json_text(input.path),
+                                             "identity", input.opened ? identity : ""));
+        bsq_noted_input_free(&input);
+    }
+    keep_if(status == 0, &list);
+    return list;
+}
+
 json_t *cli_complete_json(const struct cli *cli, json_t *root)
 {
     json_t *head = json_pack("{s:s, s:s}", "program", cli->program, "version", BSQ_VERSION);
     keep_if(root && json_object_update(head, root) == 0, &head);
+    cli_json_set(&head, "files_read", inputs_json(cli));
     cli_json_set(&head, "cost", cost_json(cli));
     json_decref(root);
     return head;
