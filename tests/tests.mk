@@ -282,7 +282,7 @@ check-arm64: all $(generator)
 ## check-long: check, check-python, check-arm64, many more rounds of random tests, and one by the clock
 .PHONY: check-long
 check-long: check
-	@$(MAKE) --no-print-directory check-python
+	@LONG=1 $(MAKE) --no-print-directory check-python
 	@$(MAKE) --no-print-directory check-arm64
 	@LONG=1 BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
 	    $(patsubst %,tests/cli/test_%.sh,combine farm faults gltf_materials images \

@@ -1,4 +1,14 @@
-"""Scans that numpy makes: a sphere with waves, whose surface and normals a formula gives."""
+"""Scans that numpy makes: a sphere with waves, whose surface and normals a formula gives. And how
+bisque-asset may end."""
+import hashlib
+import json
+import os
+import struct
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -43,3 +53,56 @@ def low(scan):
     import bisque
 
     return bisque.unwrap(bisque.simplify(scan, triangles=1500), size=256)
+
+
+def write_png(path, color):
+    """Writes an image of 4 x 4 texels of one colour."""
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(
+            ">I", zlib.crc32(kind + data))
+    rows = (b"\0" + bytes(color) * 4) * 4
+    Path(path).write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", 4, 4, 8, 2, 0, 0, 0))
+                           + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
+
+
+#: Exit codes of bisque-asset but 0, and 70, which is a bug.
+FAILURES = (64, 65, 66, 69, 71, 73, 74, 75)
+PROGRAM = os.path.join(os.path.dirname(sys.executable), "bisque-asset")
+
+
+def command_of(arguments):
+    return [PROGRAM, *map(str, arguments)]
+
+
+def run_asset(*arguments, **how):
+    return subprocess.run(command_of(arguments), capture_output=True, text=True, errors="replace", **how)
+
+
+def certificate_of(output):
+    """Returns the certificate of an asset after all its checksums were compared with its files."""
+    output = Path(output)
+    made = output.with_name(output.stem + "_asset")
+    paper = made / "asset.json"
+    if not output.exists():  # of several levels
+        output = output.with_name(output.stem + "_0.glb")
+    certificate = json.loads(paper.read_text())
+    levels = certificate["levels"]
+    for level in levels:
+        for name, checksum in level["files"].items():
+            folder = output.parent if name.endswith(".glb") else made / level["name"] if len(levels) > 1 else made
+            assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == checksum, name
+        assert any(name.endswith(".glb") for name in level["files"])
+    return certificate
+
+
+def judge(done, output):
+    """Checks that a run of bisque-asset ended with a certificate that is true, or with a documented
+    exit code and one line. Returns the certificate, or None."""
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("bisque-asset: warning: ")]
+    assert "Traceback" not in done.stderr, done.stderr
+    if done.returncode == 0:
+        assert not lines, done.stderr
+        return certificate_of(output)
+    assert done.returncode in FAILURES, (done.returncode, done.stderr)
+    assert len(lines) == 1 and lines[0].startswith("bisque-asset: "), done.stderr
+    return None

@@ -4,17 +4,16 @@ import json
 import os
 import random
 import re
-import struct
 import subprocess
 import sys
 import threading
 import time
 import types
-import zlib
 
 import bisque
 import numpy as np
 import pytest
+from conftest import PROGRAM, radius_at, run_asset, write_png
 
 BIN, GENERATE = os.environ["BIN"], os.environ["GENERATE"]
 
@@ -182,7 +181,6 @@ def test_object_space_normals_are_those_of_the_formula(scan, low):
     inside = maps["mask"] == 1
     points = maps["position"][inside].astype(float)
     unit = points / np.linalg.norm(points, axis=1)[:, None]
-    from conftest import radius_at
     step, gradient = 1e-4, np.zeros_like(unit)
     for k in range(3):  # of the level r - radius(direction), by differences
         sides = []
@@ -241,16 +239,6 @@ def test_programs_are_on_the_path():
         assert done.stdout.strip() == f"bisque-{name} {bisque.version()}"
 
 
-def write_png(path, color):
-    """Writes an image of 4 x 4 texels of one colour."""
-    def chunk(kind, data):
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(
-            ">I", zlib.crc32(kind + data))
-    rows = (b"\0" + bytes(color) * 4) * 4
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", 4, 4, 8, 2, 0, 0, 0))
-                     + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
-
-
 def test_textures_give_colors(scan, low, tmp_path):
     mesh = bisque.Mesh(*scan, uvs=np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9]]))
     mesh.uv_faces = np.tile([0, 1, 2], (len(mesh.faces), 1))
@@ -261,11 +249,6 @@ def test_textures_give_colors(scan, low, tmp_path):
     # PNG files have sRGB; rows of maps have linear light.
     linear = ((51 / 255 + 0.055) / 1.055) ** 2.4
     assert np.allclose(maps["color"][maps["mask"] == 1], [1, 0, linear], atol=2e-3)
-
-
-def run_asset(*arguments):
-    program = os.path.join(os.path.dirname(sys.executable), "bisque-asset")
-    return subprocess.run([program, *map(str, arguments)], capture_output=True, text=True)
 
 
 def asset(*arguments, code=0):
@@ -288,14 +271,15 @@ def test_asset_of_a_file_goes_on_where_it_stopped(tmp_path):
     assert {"low.obj", "low.mtl", "normal.png", "color.png", "preview.png"} <= set(level["files"])
     assert "map_Kd color.png" in (tmp_path / "vase_asset/low.mtl").read_text()
     assert scan.read_bytes() == content
-    grid = tmp_path / "steps/grid_0.nvdb"
-    times = {path: path.stat().st_mtime_ns for path in (grid, tmp_path / "steps/scan.tris", out)}
+    grid = tmp_path / "steps/bisque-steps/grid_0.nvdb"
+    times = {path: path.stat().st_mtime_ns for path in (grid, tmp_path / "steps/bisque-steps/scan.tris", out)}
     asset(*given)
     assert times == {path: path.stat().st_mtime_ns for path in times}
     grid.unlink()  # as if the job had stopped before
     asset(*given)
     assert grid.exists() and grid.stat().st_mtime_ns != times[grid]
-    assert (tmp_path / "steps/scan.tris").stat().st_mtime_ns == times[tmp_path / "steps/scan.tris"]
+    chunks = tmp_path / "steps/bisque-steps/scan.tris"
+    assert chunks.stat().st_mtime_ns == times[chunks]
 
 
 def test_asset_of_a_chunk_file_has_the_maps_that_it_can(tmp_path):
@@ -314,8 +298,7 @@ def test_asset_ends_when_told_and_shows_json(tmp_path):
     scan = tmp_path / "vase.obj"
     subprocess.run([GENERATE, "--triangles", "60000", "--colors", "vase", "-o", scan], check=True)
     given = (scan, "-o", tmp_path / "vase.glb", "--triangles", 500, "--size", 64, "--json", "--progress", "json")
-    program = os.path.join(os.path.dirname(sys.executable), "bisque-asset")
-    with subprocess.Popen([program, *map(str, given)], stderr=subprocess.PIPE, text=True) as job:
+    with subprocess.Popen([PROGRAM, *map(str, given)], stderr=subprocess.PIPE, text=True) as job:
         step = json.loads(job.stderr.readline())
         job.terminate()
         assert "goes on from here" in job.stderr.read()
@@ -354,7 +337,7 @@ def test_levels_of_a_scan_in_memory(scan, tmp_path, monkeypatch):
                                progress=lambda *what: seen.append(what[1]))
     assert [level["size"] for level in certificate["levels"]] == [64, 128]
     assert (tmp_path / "s_0.glb").exists() and (tmp_path / "s_asset/1/normal.png").exists()
-    assert not (tmp_path / "s_asset/steps").exists() and not (tmp_path / "s.glb").exists()
+    assert not (tmp_path / "s_asset/bisque-steps").exists() and not (tmp_path / "s.glb").exists()
     assert seen == sorted(seen) and 0 <= seen[0] and 500 < seen[-1] <= 1000
     errors = [level["distance"]["from_scan"]["mean"] for level in certificate["levels"]]
     assert errors[1] < errors[0] / 2

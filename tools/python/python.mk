@@ -16,7 +16,7 @@ deps-python:
 	@tests/install-packages.sh python3-dev python3-venv
 ## check-python: tests of the Python package in build/CONFIG/venv (installs what it needs, from PyPI)
 check-python: $(venv)/installed $(generator)
-	BIN=$(abspath $(BUILD)/bin) GENERATE=$(abspath $(generator)) $(venv)/bin/python -m pytest -q \
+	BIN=$(abspath $(BUILD)/bin) GENERATE=$(abspath $(generator)) $(venv)/bin/python -m pytest -q -n 2 --dist loadfile \
 	    -p no:cacheprovider tests/python
 
 .PHONY: check-viewers

@@ -8,6 +8,8 @@ import subprocess
 import sys
 import threading
 
+from .lines import read_line
+
 SORTED = (".tris", ".nvdb")  # what bisque-bake reads
 
 
@@ -34,14 +36,16 @@ def find_program(name, folder):
         return [path] if path else None
     allow_running(package)
     if name == "bisque-asset":  # Blender makes no console scripts of wheels
-        return [sys.executable, "-m", "bisque.asset"]
+        return [sys.executable, "-m", "bisque_start"]
     return [os.path.join(package, "bin", name)]
 
 
 def environment():
-    """Returns the environment of programs: Python finds the modules of the extension's wheels."""
+    """Returns the environment of programs: Python finds the modules of the extension's wheels, and the programs end
+    when Blender does."""
     package = find_package()
-    return {**os.environ, "PYTHONPATH": os.path.dirname(package), "PYTHONSAFEPATH": "1"} if package else None
+    return {**os.environ, "PYTHONPATH": os.path.dirname(package), "PYTHONSAFEPATH": "1",
+            "BSQ_PARENT": str(os.getpid())} if package else None
 
 
 class Job:
@@ -75,17 +79,12 @@ class Job:
 
     def _take_lines(self):
         while not self._lines.empty():
-            line = self._lines.get()
-            try:
-                step = json.loads(line)
-                if "warning" in step:
-                    self.messages.append(step["warning"])
-                    continue
-                self.stage, total = step["stage"], step["total"]
-                self.share = step["done"] / total if total else 0.0
-            except (ValueError, KeyError, TypeError):
-                if line:
-                    self.messages.append(line)
+            kind, said = read_line(self._lines.get())
+            if kind == "step":
+                self.stage = said["stage"]
+                self.share = min(max(said["done"] / said["total"], 0.0), 1.0) if said["total"] else 0.0
+            elif said:
+                self.messages.append(said)
 
     def poll(self):
         """Takes what was printed, and starts the next command. Returns whether all is over."""
@@ -97,15 +96,21 @@ class Job:
         for thread in self._threads:
             thread.join()
         self._take_lines()
-        if self.process.returncode != 0:
-            self.code = self.process.returncode
-        else:
-            self.results.append(json.loads(self._output[0]))
-            if self.commands:
+        self.code = self.process.returncode
+        try:
+            if self.code == 0:
+                self.results.append(json.loads(self._output[0]))
+        except (ValueError, IndexError):
+            self.messages.append("a program printed no report")
+            self.code = 70
+        if self.code == 0 and self.commands:
+            try:
                 self._start()
-                return False
-            self.code = 0
-        return True
+                self.code = None
+            except OSError as error:
+                self.messages.append(str(error))
+                self.code = 73
+        return self.code is not None
 
     def cancel(self):
         """Ends the command that runs. It leaves complete files only."""

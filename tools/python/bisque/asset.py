@@ -1,28 +1,27 @@
-"""From a scan to an asset: sort, simplify, unwrap, voxelize, bake, measure. The program bisque-asset.
+"""From a scan to an asset: sort, simplify, unwrap, voxelize, bake, measure.
 
-Each step writes a file into a folder and notes in `steps.json` what it was made from. A step whose
-note is still true is not repeated, so an interrupted job goes on where it stopped."""
+Each step writes files into a private folder (steps.py). The asset's own files get their names when
+all is done, the certificate last, so that it stands beside the files that it is of, or not at all."""
 from __future__ import annotations
 
-import argparse
 import hashlib
+import importlib.util
 import json
 import os
 import re
 import shutil
-import signal
-import subprocess
 import sys
-import tempfile
 import time
-import warnings
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from . import core, uv
+from . import core, programs, uv
+from .core import Error
 from .mesh import Mesh, as_mesh, is_path, read_mesh
+from .steps import FAILED_IO, Folder, Steps, sha256
 
 #: Triangles, texels and maps of each level; rays of a texel for ambient occlusion.
 PRESETS: dict[str, dict] = {
@@ -35,80 +34,19 @@ PRESETS: dict[str, dict] = {
                 "rays": 64},
 }
 
-#: What each step is of all the work, for the progress bar.
-WEIGHTS = {"sort": 20, "simplify": 25, "unwrap": 10, "voxelize": 10, "bake": 25, "check": 10}
 #: A grid with more voxels along a side takes more time than exact rays do.
 MOST_RESOLUTION = 8192
 #: Sides of the maps that are compared with exact ones.
 SAMPLE_SIZE = 256
 
 
-class Steps:
-    """Runs steps, or takes what an earlier run left."""
-
-    def __init__(self, folder: Path, progress: core.Progress | None, levels: int):
-        self.folder, self.progress = folder, progress
-        self.note = folder / "steps.json"
-        self.known = json.loads(self.note.read_text()) if self.note.exists() else {}
-        self.total = WEIGHTS["sort"] + levels * (sum(WEIGHTS.values()) - WEIGHTS["sort"])
-        self.done, self.weight, self.name, self.stage, self.shown = 0.0, 0.0, "", "", 0
-        self.seconds: dict[str, float] = {}
-
-    def report(self, stage: str, done: int, total: int, unit: str) -> None:
-        """Turns the progress of a stage into that of the whole, in thousandths. The stages of a step
-        share its weight, half of what is left each."""
-        if stage != self.stage:
-            self.done += self.weight if self.stage else 0
-            self.weight /= 2
-            self.stage = stage
-        share = self.done + self.weight * (min(done / total, 1) if total else 0)
-        self.shown = max(self.shown, int(1000 * share / self.total))
-        if self.progress:
-            self.progress(f"{self.name}: {stage}", self.shown, 1000, "steps")
-
-    def run(self, name: str, inputs: list, options: dict, outputs: list[Path], work: Any) -> Any:
-        """Returns the result of `work`, or that of an earlier run with the same inputs, options and
-        version whose outputs are there unchanged."""
-        key = json.dumps([core.version(), [identity(path) for path in inputs], options],
-                         sort_keys=True, default=str)
-        weight = WEIGHTS[name.split(" ")[0]]
-        self.name, self.weight, self.stage = name, weight, ""
-        start, before = time.monotonic(), self.done
-        known = self.known.get(name)
-        if known and known["key"] == key and known["outputs"] == [identity(o) for o in outputs]:
-            result = known["result"]
-        else:
-            self.known.pop(name, None)
-            result = work()
-            self.known[name] = {"key": key, "outputs": [identity(o) for o in outputs],
-                                "result": result}
-            temporary = self.note.with_suffix(".new")
-            temporary.write_text(json.dumps(self.known, default=float))
-            os.replace(temporary, self.note)
-        self.seconds[name] = time.monotonic() - start
-        self.done = before + weight
-        return result
-
-
-def identity(path: str | os.PathLike) -> list:
-    """Returns what tells that a file is the same and was not written to."""
-    try:
-        info = os.stat(path)
-    except OSError:
-        return [os.fspath(path), None]
-    return [os.fspath(path), info.st_size, info.st_mtime_ns]
-
-
-def sha256(path: str | os.PathLike) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def _digest(mesh: Mesh) -> str:
     """Returns a checksum of all arrays of a mesh."""
     digest = hashlib.sha256()
-    for array in (mesh.vertices, mesh.faces, mesh.uvs, mesh.normals, mesh.colors):
+    for name in ("vertices", "faces", "uvs", "uv_faces", "normals", "normal_faces", "colors"):
+        array = getattr(mesh, name)
         if array is not None:
+            digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
             digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
 
@@ -120,11 +58,13 @@ def choose_surface(low: Mesh, scan_triangles: int, size: int, maps: Any) -> dict
     as large as a texel. If the scan's triangles are not smaller than such voxels, or the grid
     would be larger than MOST_RESOLUTION, rays through triangles are exact, and not slower; but many
     rays from each hit (ao) take several times as long as in a grid."""
-    p = low.vertices[low.faces]
+    p = low.vertices[low.faces].astype(np.float64)
     area = float(np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1).sum() / 2)
     texel = (area / (low.report["uv"]["uv_share"] * size * size)) ** 0.5
     side = float((low.vertices.max(axis=0) - low.vertices.min(axis=0)).max())
     edge = (2 * area / max(scan_triangles, 1)) ** 0.5
+    if not 0 < texel < float("inf") or not side / texel < 2 ** 31:
+        raise Error(65, f"the low-poly mesh has no size that maps can be made for: {side:g}")
     resolution = int(np.ceil(2 * side / texel / 64) * 64)
     many_rays = bool({"ao", "bent", "thickness"} & set(maps))
     exact = resolution > MOST_RESOLUTION or (edge >= texel / 2 and not many_rays)
@@ -147,26 +87,29 @@ def _low_of(steps: Steps, scan: str, given: Any, level: dict, job: dict) -> Mesh
     simple, unwrapped = steps.folder / f"low_{level['name']}.ply", level["obj"]
     number, size = level["triangles"], level["size"]
     suffix = f" {level['name']}"
-    if given is None:
-        options = {"triangles": number, "min_component": level["min_component"]}
-        report = steps.run("simplify" + suffix, [scan], options, [simple], lambda: core.simplify(
-            scan, simple, progress=steps.report, **options, **job).report)
-        low = read_mesh(str(simple))
-    else:
-        low, report = as_mesh(given), {}
     options = {"size": size, "padding": max(2, size // 512), "library": level["library"]}
+    if given is None:
+        wanted = {"triangles": number, "min_component": level["min_component"]}
+        report = steps.run("simplify" + suffix, [scan], wanted, [simple], lambda: core.simplify(
+            scan, simple, progress=steps.report, **wanted, **job).report)
+        inputs, low = [simple], read_mesh(str(simple))
+    else:
+        inputs = [given] if is_path(given) else []
+        for path in inputs:
+            steps.hold(path)
+        low, report = as_mesh(given), {}
+        options["content"] = _digest(low)
 
     def make() -> dict:
         if low.uvs is not None:
             result, low.report["uv"] = low, uv.check_uvs(low, min(size, 2048))
         else:
-            result = uv.unwrap(low, seconds=level["seconds"], progress=steps.report, **options)
+            result = uv.unwrap(low, seconds=level["seconds"], progress=steps.report, **options_of_uv)
         result.save(unwrapped, unwrapped.with_suffix(".mtl").name)
         return result.report["uv"]
 
-    inputs = [simple] if given is None else [given] if is_path(given) else []
-    if given is not None and not is_path(given):
-        options["content"] = _digest(low)
+    options_of_uv = {key: options[key] for key in ("size", "padding", "library")}
+    options["version"] = metadata.version(level["library"])
     found = steps.run("unwrap" + suffix, inputs, options, [unwrapped], make)
     mesh = read_mesh(str(unwrapped))
     mesh.report = {**report, "uv": found}
@@ -178,8 +121,9 @@ def _measure_error(grid: str, chunks: str, low: str, job: dict, folder: Path) ->
     with_mask = ("normal", "mask")
     names = [str(folder / f"{kind}_<MAP>.exr") for kind in ("grid", "exact")]
     for scan, name in ((grid, names[0]), (chunks, names[1])):
-        core.bake(scan, low, with_mask, size=SAMPLE_SIZE, samples=1, padding=0, output=name,
-                  arrays=False, **job)
+        with core.quiet():  # the bake has warned
+            core.bake(scan, low, with_mask, size=SAMPLE_SIZE, samples=1, padding=0, output=name,
+                      arrays=False, **job)
     normal, mask = ([name.replace("<MAP>", kind) for name in names] for kind in with_mask)
     found = core.compare(*normal, mask=mask[1], kind="normal")
     for name in normal + mask:
@@ -187,51 +131,38 @@ def _measure_error(grid: str, chunks: str, low: str, job: dict, folder: Path) ->
     return {key: found[key] for key in ("unit", "compared", "mean", "median", "p95", "p99", "max")}
 
 
-def _bake(scan: Any, obj: Path, files: dict, options: dict, job: dict, progress: core.Progress) -> dict:
+def _bake(steps: Steps, scan: str, obj: Path, files: dict, options: dict, job: dict) -> dict:
     """Bakes by the program of this package, which also writes the page. files: by the names of their
     options. Returns the program's report."""
     known = core.map_names()
     maps = ",".join(name if name in known else f"transfer:{name}" for name in options["maps"])
-    words = [Path(__file__).parent / "bin" / "bisque-bake", scan, obj, "-o", obj.with_name("<MAP>.png"),
-             "--json", "--progress", "json", "--maps", maps, "--size", options["size"],
+    words = [scan, obj, "-o", obj.with_name("<MAP>.png"), "--maps", maps, "--size", options["size"],
              "--samples", options["samples"]]
     words += ["--rays", f"ao={options['ao_rays']}"] if {"ao", "bent"} & set(options["maps"]) else []
     words += [word for name, path in files.items() for word in (f"--{name}", path)]
     words += ["--memory", core.parse_bytes(job["memory"])] if job["memory"] else []
     words += ["--threads", job["threads"]] if job["threads"] else []
-    said = []
-    with tempfile.TemporaryFile("w+") as printed, subprocess.Popen(
-            [str(word) for word in words], stdout=printed, stderr=subprocess.PIPE, text=True) as program:
-        try:
-            for line in program.stderr:
-                if line.startswith("{"):
-                    step = json.loads(line)
-                    progress(step["stage"], step["done"], step["total"], step["unit"])
-                else:
-                    said.append(line.rstrip("\n").removeprefix("bisque-bake: "))
-        except BaseException:
-            program.terminate()
-            raise
-        if program.wait():
-            raise core.Error(program.returncode, said[-1] if said else "bisque-bake failed")
-        printed.seek(0)
-        report = json.load(printed)
-    for line in said:
-        warnings.warn(line.removeprefix("warning: "), stacklevel=2)
+    report = programs.run("bisque-bake", words, steps.report, steps.heard.warn, [steps.lock])
+    for file in report["files_read"]:
+        steps.heard.read(file["path"], file["identity"])
     return report
 
 
-def _set_command(page: Path, command: list[str]) -> None:
-    """Makes a page show this command again, not that of its bake, whose files may be gone."""
-    head, data, tail = re.split(r'(?<= id="data">)(.*)(?=</script>)', page.read_text("utf-8"), maxsplit=1)
-    data = json.dumps({**json.loads(data), "command": command}).replace("<", "\\u003c")
-    page.write_text(head + data + tail, "utf-8")
+def _finish_page(raw: Path, page: Path, level: dict, lines: list[str]) -> None:
+    """Makes a page show the asset's command, files and warnings, not only those of its bake."""
+    head, data, tail = re.split(r'(?<= id="data">)(.*)(?=</script>)', raw.read_text("utf-8"), maxsplit=1)
+    made, staged = (json.dumps(f"{folder}{os.sep}")[1:-1] for folder in (level["made"], level["obj"].parent))
+    shown = json.loads(data.replace(staged, made))
+    shown["glb_path"] = str(level["glb"])
+    shown["warnings"] = list(dict.fromkeys(lines))
+    shown["command"] = level["command"] or shown["command"]
+    page.write_text(head + json.dumps(shown).replace("<", "\\u003c") + tail, "utf-8")
 
 
 def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level: dict,
                 job: dict) -> dict:
-    """Bakes a level: maps, GLB and preview beside its OBJ file. Returns its part of the
-    certificate."""
+    """Bakes a level: maps, GLB and preview beside its OBJ file. Returns its part of the certificate,
+    in which "files" are paths."""
     suffix, size, obj = f" {level['name']}", level["size"], level["obj"]
     surface = choose_surface(low, sorted_report["triangles"], size, level["maps"])
     if level["surface"] != "auto":
@@ -245,21 +176,22 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
     has_color = sorted_report["has_colors"] or sorted_report["has_material_colors"] or (
         sorted_report["uses_textures"])
     maps = [name for name in level["maps"] if name != "color" or has_color]
-    files = {"glb": level["glb"], "preview": obj.with_name("preview.png")}
+    if not maps:
+        raise Error(65, "the scan has no colour, and no other map is asked for")
+    files = {"glb": obj.with_suffix(".glb"), "preview": obj.with_name("preview.png")}
     if level["report"]:
-        files["report"] = obj.with_name("report.html")
-    outputs = {name: str(obj.with_name(f"{name}.png")) for name in maps}
+        files["report"] = obj.with_name("raw.html")
+    images = {name: obj.with_name(f"{name}.png") for name in maps}
+    mtl = obj.with_suffix(".mtl")
     options = {"maps": maps, "size": size, "samples": level["samples"], "ao_rays": level["rays"]}
 
     def make() -> dict:
-        baked = _bake(scan, obj, files, options, job, steps.report)
-        if level["report"] and level["command"]:
-            _set_command(files["report"], level["command"])
-        write_mtl(obj.with_suffix(".mtl"), outputs)
+        mtl.unlink(missing_ok=True)
+        baked = _bake(steps, scan, obj, files, options, job)
+        write_mtl(mtl, images)
         return baked
 
-    report = steps.run("bake" + suffix, [scan, obj], options,
-                       [*files.values(), *map(Path, outputs.values())], make)
+    report = steps.run("bake" + suffix, [scan, obj], options, [mtl, *files.values(), *images.values()], make)
     exact = {"unit": "degrees", "mean": 0.0, "max": 0.0, "exact": True}
     error = exact if surface["exact"] else steps.run(
         "check" + suffix, [scan, chunks, obj], {"size": SAMPLE_SIZE}, [],
@@ -268,21 +200,29 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
         bare = Mesh(low.vertices, low.faces)
         low.report.update(steps.run("check distance" + suffix, [chunks, obj], {}, [],
                                     lambda: core.measure(bare, chunks, **job)))
-    made = [obj, obj.with_suffix(".mtl"), *files.values(), *map(Path, outputs.values())]
+    made = {level["glb"]: files["glb"]}
+    made.update({level["made"] / path.name: path for path in (obj, mtl, files["preview"], *images.values())})
+    if level["report"]:
+        made[level["made"] / "report.html"] = obj.with_name("report.html")
+        _finish_page(files["report"], obj.with_name("report.html"), level,
+                     steps.warnings_of(None) + steps.warnings_of(level["name"]))
     return {"name": level["name"], "triangles": len(low.faces), "size": size,
             "surface": {**surface, "method": "exact" if surface["exact"] else "grid"},
             "distance": {key: low.report[key] for key in ("from_scan", "from_mesh")},
             "uv": low.report["uv"], "normal_error": error,
             "rays": {key: report[key] for key in ("samples", "hits", "misses", "front", "back")},
             "memory_high": report["cost"]["memory_high_bytes"],
-            "files": {file.name: sha256(file) for file in made}}
+            "warnings": steps.warnings_of(level["name"]), "files": made}
+
+
+#: Members of a report on a sorted scan that count what it lost.
+LOSSES = ("degenerate_triangles", "short_faces", "broken_faces", "lost_corners", "unused_vertices",
+          "skipped_lines", "unkept_channels")
 
 
 def _lost(report: dict) -> dict:
     """Returns what of the scan the asset does not have."""
-    keys = ("degenerate_triangles", "short_faces", "broken_faces", "lost_corners",
-            "unused_vertices", "skipped_lines", "unkept_channels")
-    return {key: report[key] for key in keys if report[key]}
+    return {key: report[key] for key in LOSSES if report[key]}
 
 
 def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str = "web",
@@ -299,175 +239,189 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
     low: a low-poly mesh to use; it is unwrapped if it has no UVs. texture: an image for all faces
     with texture coordinates, instead of those that the scan names. surface: "grid", "exact", or
     "auto", by the size of a texel. report: also makes a page to look at, report.html. command: the
-    command that the page shows; without it, that of the bake. keep: a folder for the files between,
-    which stay there; without it they are in OUTPUT_asset/steps until the asset is complete.
-    Interrupted jobs go on from them.
-    Returns the certificate. Raises Error, UnwrapError."""
-    if preset not in PRESETS:
-        raise ValueError(f"preset: {preset!r} is none of {', '.join(PRESETS)}")
+    command that the page shows; without it, that of the bake. keep: a folder, in whose folder
+    `bisque-steps` the files between stay; without it they are in OUTPUT_asset/bisque-steps until the
+    asset is complete. Interrupted jobs go on from them.
+    Returns the certificate. Raises Error, UnwrapError, ValueError."""
     output = Path(output)
+    chosen = _check_options(output, preset, triangles, size, samples, surface, library, unwrap_seconds,
+                            min_component)
+    if low is not None or triangles or size:
+        chosen = [(triangles or chosen[-1][0], size or chosen[-1][1])]
+    made = output.with_name(output.stem + "_asset")
+    paths = [] if core._is_memory(scan) else core._paths(scan)
+    low = os.fsdecode(low) if is_path(low) else low
+    given = [*paths, *([low] if is_path(low) else []), *([os.fsdecode(texture)] if texture else [])]
+    maps = (maps,) if isinstance(maps, str) else maps or PRESETS[preset]["maps"]
+    maps = list(dict.fromkeys(name.removeprefix("transfer:") for name in maps))
+    _check_inputs(output, made, Path(keep) if keep else made, given)
+    job = {"memory": core.parse_bytes(memory), "threads": core.check_number("threads", threads, 0, 65536)}
+    level = {"samples": samples, "maps": maps, "rays": PRESETS[preset]["rays"], "surface": surface, "library": library,
+             "seconds": unwrap_seconds, "min_component": min_component, "report": report, "command": command}
+    elsewhere = bool(keep) and Path(keep).resolve() != made.resolve()
+    private = kept = Folder(made)
+    done = False
+    try:
+        if elsewhere:
+            kept = Folder(Path(keep))
+        steps = Steps(kept, progress, len(chosen))
+        chunks, about = _sorted(steps, scan, paths, texture, job)
+        levels = [_bake_level(steps, chunks, about, _low_of(steps, chunks, low, one, job), one, job)
+                  for one in _levels(chosen, level, output, made, steps)]
+        options = {"preset": preset, "levels": chosen, "samples": samples, "surface": surface,
+                   "library": library, "memory": memory, "threads": threads}
+        certificate = _certificate(steps, paths, about, options, levels)
+        _publish(certificate, made, output, steps, not keep)
+        done = True
+        return certificate
+    finally:
+        if kept is not private:
+            kept.close(False)
+        private.close(elsewhere or not keep and (done or not (private.path / "steps.json").exists()))
+
+
+def _levels(chosen: list[tuple[int, int]], common: dict, output: Path, made: Path, steps: Steps) -> Any:
+    """Yields what makes each level: the common values, its numbers and its paths."""
+    for number, (count, side) in enumerate(chosen):
+        staged, several = steps.folder / str(number), len(chosen) > 1
+        staged.mkdir(exist_ok=True)
+        yield {**common, "name": str(number), "triangles": count, "size": side, "obj": staged / "low.obj",
+               "glb": output.with_name(f"{output.stem}_{number}.glb") if several else output,
+               "made": made / str(number) if several else made}
+
+
+def _certificate(steps: Steps, paths: list[str], about: dict, options: dict, levels: list[dict]) -> dict:
+    return {"generator": f"Bisque {core.version()}",
+            "created": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+            "scan": [{"path": path, "bytes": os.path.getsize(path), "sha256": steps.hold(path)}
+                     for path in paths] or "arrays in memory",
+            "scan_triangles": about["triangles"], "lost": _lost(about), "warnings": steps.warnings_of(None),
+            "options": options, "versions": _versions(options["library"]), "levels": levels,
+            "seconds": steps.seconds}
+
+
+def _sorted(steps: Steps, scan: Any, paths: list[str], texture: Any, job: dict) -> tuple[str, dict]:
+    """Returns the chunk file of a scan and what is known of it."""
+    for path in paths:
+        steps.hold(path)
+    if paths and core.is_chunks(paths):
+        if texture:
+            raise ValueError("texture: a chunk file names its images itself; sort the mesh with this one")
+        if len(paths) > 1:
+            raise ValueError("several chunk files: sort the meshes together, or give the meshes")
+        about = programs.run("bisque-voxelize", ["--info", paths[0]], None, lambda _: None)["files"][0]
+        known = {"triangles": about["triangles"], "has_colors": about["color"]}
+        return paths[0], {**dict.fromkeys((*LOSSES, "has_material_colors", "uses_textures"), 0), **known}
+    chunks = str(steps.folder / "scan.tris")
+    options = {} if paths else {"content": _digest(as_mesh(scan))}
+    if texture:
+        options["texture"] = os.path.abspath(texture)
+    return chunks, steps.run("sort", paths, options, [Path(chunks)], lambda: core.sort(
+        scan, chunks, texture=texture, progress=steps.report, **job))
+
+
+def _check_options(output: Path, preset: str, triangles: int | None, size: int | None, samples: int,
+                   surface: str, library: str, seconds: float, component: float) -> list[tuple[int, int]]:
+    """Refuses values that make no sense, by ValueError. Returns the levels of the preset."""
+    for name, value, words in (("preset", preset, PRESETS), ("library", library, uv.LIBRARIES),
+                               ("surface", surface, ("auto", "grid", "exact"))):
+        if value not in words:
+            raise ValueError(f"{name}: {value!r} is none of {', '.join(words)}")
+    if not importlib.util.find_spec(library):
+        raise Error(69, f"{library} is not installed: pip install {library}")
     if output.suffix.lower() != ".glb":
         raise ValueError(f"{output}: its name must end in .glb")
-    levels = PRESETS[preset]["levels"]
-    if triangles or size or low is not None:
-        levels = [(triangles or levels[-1][0], size or levels[-1][1])]
-    made = output.with_name(output.stem + "_asset")
-    folder = Path(keep) if keep else made / "steps"
-    in_memory = core._is_memory(scan)
-    paths = [] if in_memory else core._paths(scan)
-    _check_inputs(output, made, [*paths, *([low] if is_path(low) else [])])
-    folder.mkdir(parents=True, exist_ok=True)
-    steps = Steps(folder, progress, len(levels))
-    job = {"memory": memory, "threads": threads}
-    chunks = str(folder / "scan.tris")
-    if not in_memory and len(paths) == 1 and paths[0].endswith(".tris"):
-        chunks = str(folder / "given.tris")
-        Path(chunks).unlink(missing_ok=True)
-        os.symlink(os.path.abspath(paths[0]), chunks)
-        about = _describe(paths[0])
-        sorted_report = {"triangles": about["triangles"], "has_colors": about["color"]}
-        sorted_report = {key: sorted_report.get(key, 0) for key in
-                         ("triangles", "has_colors", "has_material_colors", "uses_textures",
-                          "degenerate_triangles", "short_faces", "broken_faces", "lost_corners",
-                          "unused_vertices", "skipped_lines", "unkept_channels")}
-    else:
-        content = {"texture": identity(texture) if texture else None}
-        if in_memory:
-            mesh = as_mesh(scan)
-            content["content"] = _digest(mesh)
-        sorted_report = steps.run("sort", paths, content, [Path(chunks)], lambda: core.sort(
-            scan, chunks, texture=texture, progress=steps.report, **job))
-    results = []
-    for number, (count, side) in enumerate(levels):
-        several = len(levels) > 1
-        own = made / str(number) if several else made
-        own.mkdir(exist_ok=True)
-        glb = output.with_name(f"{output.stem}_{number}.glb") if several else output
-        level = {"name": str(number), "glb": glb, "triangles": count, "size": side, "samples": samples,
-                 "maps": maps or PRESETS[preset]["maps"], "rays": PRESETS[preset]["rays"],
-                 "surface": surface, "library": library,
-                 "seconds": unwrap_seconds, "min_component": min_component, "report": report,
-                 "command": command, "obj": own / "low.obj"}
-        mesh = _low_of(steps, chunks, low, level, job)
-        results.append(_bake_level(steps, chunks, sorted_report, mesh, level, job))
-    certificate = {
-        "generator": f"Bisque {core.version()}",
-        "created": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-        "scan": [{"path": path, "bytes": os.path.getsize(path), "sha256": sha256(path)}
-                 for path in paths] or "arrays in memory",
-        "scan_triangles": sorted_report["triangles"], "lost": _lost(sorted_report),
-        "options": {"preset": preset, "levels": levels, "samples": samples, "surface": surface,
-                    "library": library, "memory": memory, "threads": threads},
-        "versions": _versions(library), "levels": results, "seconds": steps.seconds}
-    (made / "asset.json").write_text(json.dumps(certificate, indent=1, default=float) + "\n")
-    if not keep:
-        shutil.rmtree(folder)
-    return certificate
+    for name, value, most in (("triangles", triangles, 2 ** 32 - 1), ("size", size, 65536),
+                              ("samples", samples, 2 ** 16)):
+        if value is not None:
+            core.check_number(name, value, 1, most)
+    for name, value, most in (("unwrap_seconds", seconds, 1e9), ("min_component", component, 1)):
+        if not 0 <= value <= most:  # also NaN
+            raise ValueError(f"{name}: a number from 0 to {most:g} is needed, not {value:g}")
+    return PRESETS[preset]["levels"]
 
 
-def _check_inputs(output: Path, made: Path, inputs: list) -> None:
-    """Refuses outputs that would replace an input. Textures of a scan cannot be known here, but no
-    output but the GLB file lies outside of the folder `made`."""
+def _check_inputs(output: Path, made: Path, keep: Path, inputs: list[str]) -> None:
+    """Refuses outputs that would replace an input."""
+    if output.is_dir():
+        raise Error(73, f"{output}: this is a folder")
     for path in inputs:
         if output.exists() and os.path.exists(path) and os.path.samefile(output, path):
             raise ValueError(f"{output}: this is an input, which would be replaced")
-        if made.resolve() in Path(path).resolve().parents:
-            raise ValueError(f"{path}: the files in {made} would be replaced; move it elsewhere")
+        for folder in (made, keep / Folder.NAME):
+            if folder.resolve() in Path(path).resolve().parents:
+                raise ValueError(f"{path}: the files in {folder} would be replaced; move it elsewhere")
 
 
-def _describe(path: str) -> dict:
-    """Returns what the program of this package says of a chunk file."""
-    done = subprocess.run([Path(__file__).parent / "bin" / "bisque-voxelize", "--info", "--json", path],
-                          capture_output=True, text=True)
-    if done.returncode:
-        raise core.Error(done.returncode, done.stderr.strip().removeprefix("bisque-voxelize: "))
-    return json.loads(done.stdout)["files"][0]
+# ---- the asset's files ----
+
+def _older_files(made: Path, output: Path) -> dict[Path, str]:
+    """Returns the files of the asset that is there, by its certificate, and their checksums."""
+    found = {}
+    try:
+        levels = json.loads((made / "asset.json").read_text())["levels"]
+        for level in levels:
+            own = made / os.path.basename(level["name"]) if len(levels) > 1 else made
+            for name, checksum in level["files"].items():
+                folder = output.parent if name.endswith(".glb") else own
+                found[folder / os.path.basename(name)] = checksum
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        pass  # there is none
+    return found
+
+
+def _sync(path: Path) -> None:
+    """Makes sure that a file, or the names in a folder, are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _publish(certificate: dict, made: Path, output: Path, steps: Steps, move: bool) -> None:
+    """Gives all files of an asset their names: copies first, then the names, the certificate last.
+    Files of an older asset that this one has not go. move: the private folder needs them no more."""
+    pairs = {target: source for level in certificate["levels"] for target, source in level["files"].items()}
+    for target in pairs:
+        if target.exists() and any(os.path.exists(p) and os.path.samefile(p, target) for p in steps.seen):
+            raise ValueError(f"{target}: this is an input, which would be replaced")
+    for level in certificate["levels"]:
+        level["files"] = {target.name: sha256(source)[0] for target, source in level["files"].items()}
+    older, paper = _older_files(made, output), made / "asset.json"
+    names = {target: Path(os.path.realpath(target)) for target in [*pairs, paper]}  # links stay
+    copies = {target: name.with_name(f".{name.name}.new") for target, name in names.items()}
+    try:
+        for target, source in pairs.items():
+            target.parent.mkdir(exist_ok=True)
+            copies[target].unlink(missing_ok=True)
+            try:
+                if not move:
+                    raise OSError
+                os.link(source, copies[target])
+            except OSError:
+                shutil.copy2(source, copies[target])
+            if names[target].exists():
+                shutil.copymode(names[target], copies[target])
+        copies[paper].write_text(json.dumps(certificate, indent=1, default=float) + "\n")
+        for copy in copies.values():
+            _sync(copy)
+        paper.unlink(missing_ok=True)
+        for path in older.keys() - pairs.keys():
+            if path.is_file() and sha256(path)[0] == older[path]:
+                path.unlink()
+        for target, copy in copies.items():
+            os.replace(copy, names[target])
+        for folder in {name.parent for name in names.values()}:
+            _sync(folder)
+    except OSError as error:
+        status = 74 if error.errno in FAILED_IO else 73
+        raise Error(status, f"{error.filename2 or error.filename or output}: {error.strerror}") from None
+    finally:
+        for copy in copies.values():
+            copy.unlink(missing_ok=True)
 
 
 def _versions(library: str) -> dict:
-    from importlib import metadata
-
     return {"bisque": core.version(), "numpy": np.__version__, library: metadata.version(library),
             "python": sys.version.split()[0]}
-
-
-# ---- the program ----
-
-def _bar(stage: str, done: int, total: int, _unit: str) -> None:
-    width = 30
-    filled = width * done // max(total, 1)
-    print(f"\r[{'#' * filled}{'.' * (width - filled)}] {100 * done // max(total, 1):3d} % "
-          f"{stage[:36]:36s}", end="", file=sys.stderr, flush=True)
-
-
-def _line(stage: str, done: int, total: int, unit: str) -> None:
-    step = {"stage": stage, "unit": unit, "done": done, "total": total}
-    print(json.dumps(step), file=sys.stderr, flush=True)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="bisque-asset", description="Makes a GLB file with baked maps of a scan of any size.")
-    parser.add_argument("scan", nargs="+", help="mesh files, read as one scan, or a .tris file")
-    parser.add_argument("-o", "--output", required=True, metavar="FILE.glb",
-                        help="the asset; its other files are beside it")
-    parser.add_argument("--preset", choices=PRESETS, default="web")
-    parser.add_argument("--low", metavar="FILE.obj", help="a low-poly mesh to use")
-    parser.add_argument("--texture", metavar="FILE", help="the scan's image, if it names none")
-    parser.add_argument("--triangles", type=int, metavar="N", help="of the low-poly mesh")
-    parser.add_argument("--size", type=int, metavar="N", help="texels of a side of the maps")
-    parser.add_argument("--maps", metavar="LIST", help="such as normal,color,ao")
-    parser.add_argument("--samples", type=int, default=2, metavar="N", help="N x N a texel")
-    parser.add_argument("--surface", choices=("auto", "grid", "exact"), default="auto")
-    parser.add_argument("--unwrap", choices=uv.LIBRARIES, default="uvunwrap", metavar="LIBRARY",
-                        help="uvunwrap or xatlas")
-    parser.add_argument("--unwrap-seconds", type=float, default=300, metavar="S")
-    parser.add_argument("--min-component", type=float, default=0, metavar="SHARE",
-                        help="drop pieces with a smaller share of the scan's diagonal")
-    parser.add_argument("--report", action="store_true", help="also write report.html, a page to look at")
-    parser.add_argument("--keep", metavar="DIR", help="keep the files between in this folder")
-    parser.add_argument("--memory", metavar="SIZE", help="for each step, such as 1G")
-    parser.add_argument("-j", "--threads", type=int, default=0, metavar="N")
-    parser.add_argument("--progress", choices=("auto", "bar", "json", "none"), default="auto",
-                        help="on standard error; auto: a bar on a terminal")
-    parser.add_argument("--json", action="store_true", help="print the certificate instead of lines")
-    parser.add_argument("--version", action="version", version=f"bisque-asset {core.version()}")
-    a = parser.parse_args(arguments)
-    if a.progress == "auto":
-        a.progress = "bar" if sys.stderr.isatty() else "none"
-    show = {"bar": _bar, "json": _line, "none": None}[a.progress]
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
-    warnings.showwarning = lambda message, *_: print(f"\nbisque-asset: warning: {message}",
-                                                     file=sys.stderr)
-    try:
-        certificate = asset(
-            a.scan if len(a.scan) > 1 else a.scan[0], a.output, low=a.low, preset=a.preset,
-            triangles=a.triangles, size=a.size, maps=a.maps.split(",") if a.maps else None,
-            samples=a.samples, surface=a.surface, library=a.unwrap,
-            unwrap_seconds=a.unwrap_seconds, min_component=a.min_component,
-            texture=a.texture, report=a.report, keep=a.keep, memory=a.memory, threads=a.threads, progress=show,
-            command=["bisque-asset", *(sys.argv[1:] if arguments is None else arguments)])
-    except KeyboardInterrupt:
-        print("\nbisque-asset: interrupted; the same command goes on from here", file=sys.stderr)
-        return 75
-    except core.Error as error:
-        print(f"\nbisque-asset: {error.message}", file=sys.stderr)
-        return error.status
-    except (uv.UnwrapError, ValueError, OSError) as error:
-        print(f"\nbisque-asset: {error}", file=sys.stderr)
-        return 65 if isinstance(error, uv.UnwrapError) else 64
-    if show == _bar:
-        print(file=sys.stderr)
-    if a.json:
-        print(json.dumps(certificate, default=float))
-        return 0
-    for level in certificate["levels"]:
-        print(f"{a.output}: {level['triangles']} triangles, {level['size']} x {level['size']} "
-              f"texels, {level['surface']['method']}; farthest from the scan "
-              f"{level['distance']['from_scan']['max']:.4g}; normals off by "
-              f"{level['normal_error']['mean']:.3g} degrees on average")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,46 +1,44 @@
 """The steps of the C libraries as functions: sort, voxelize, simplify, bake, compare."""
 from __future__ import annotations
 
+import contextlib
 import os
-import re
 import shutil
 import tempfile
 import threading
 import warnings
 import weakref
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Callable, Sequence
 
 import numpy as np
 
 from .lib._core import ffi, lib
-from .mesh import Mesh, as_mesh, is_path, read_mesh
+from .mesh import Error, Mesh, as_mesh, check_number, is_path, parse_bytes, read_mesh
 
 #: Gets (stage, done, total, unit); total is 0 if it is unknown. An exception ends the job.
 Progress = Callable[[str, int, int, str], Any]
+#: Gets the warnings of all jobs of a context (`warn(line)`), which else become Python's, and the files
+#: that they read (`read(path, identity)`; the identity, as bsq_identity_text() writes it, is "" for
+#: files that another program opened, and for those that were missing).
+listener: ContextVar[Any] = ContextVar("listener", default=None)
+_silent: ContextVar[bool] = ContextVar("silent", default=False)
 
 
-class Error(RuntimeError):
-    """A failure: `status` is the exit code of sysexits(3) that the programs would have."""
-
-    def __init__(self, status: int, message: str):
-        super().__init__(message)
-        self.status, self.message = status, message
+@contextlib.contextmanager
+def quiet() -> Any:
+    """Drops warnings of jobs that the caller has had before."""
+    token = _silent.set(True)
+    try:
+        yield
+    finally:
+        _silent.reset(token)
 
 
 def version() -> str:
     """Returns the version of the library."""
     return ffi.string(lib.bsq_version()).decode()
-
-
-def parse_bytes(size: int | str | None) -> int:
-    """Returns the bytes of a size such as 1000000, "512M" or "1.5G"; 0 for None."""
-    if size is None or isinstance(size, int):
-        return size or 0
-    match = re.fullmatch(r"([0-9.]+)\s*([KMGT]?)(i?B)?", size.strip(), re.IGNORECASE)
-    if not match:
-        raise ValueError(f"memory: {size!r} is no size such as 512M or 2G")
-    return int(float(match[1]) * 1024 ** " KMGT".index(match[2].upper() or " "))
 
 
 def _text(value: Any) -> str:
@@ -90,8 +88,9 @@ class Job:
         self.tmpdir = os.fspath(tmpdir) if tmpdir else None
         options = ffi.new("struct bsq_ctx_options *", {
             "size": ffi.sizeof("struct bsq_ctx_options"), "memory_bytes": parse_bytes(memory),
-            "threads": threads, "on_progress": lib.on_progress, "on_warning": lib.on_warning,
-            "user": self.handle, "tmpdir": self.string(self.tmpdir)})
+            "threads": check_number("threads", threads, 0, 2 ** 32 - 1),
+            "on_progress": lib.on_progress, "on_warning": lib.on_warning, "user": self.handle,
+            "tmpdir": self.string(self.tmpdir)})
         out = ffi.new("struct bsq_ctx **")
         self.ctx = ffi.NULL
         if lib.bsq_ctx_create(options, out) < 0:
@@ -105,8 +104,11 @@ class Job:
         lib.bsq_ctx_destroy(self.ctx)
         if self.folder:
             shutil.rmtree(self.folder, ignore_errors=True)
-        for line in self.warnings:
-            warnings.warn(line, stacklevel=4)
+        for line in [] if _silent.get() else self.warnings:
+            if listener.get():
+                listener.get().warn(line)
+            else:
+                warnings.warn(line, stacklevel=4)
 
     def keep(self, thing: Any) -> Any:
         self.kept.append(thing)
@@ -140,14 +142,15 @@ class Job:
         lib.bsq_forget_files(self.ctx)
         thread = threading.Thread(target=call)
         interrupted, begun = None, False
-        while not ended.is_set():
+        while True:
             try:
                 if not begun:
                     begun = True
                     thread.start()
-                while not ended.is_set():
-                    ended.wait(0.2)  # a signal need not end a wait without an end
-            except KeyboardInterrupt as interruption:
+                while not ended.wait(0.2):  # a signal need not end a wait without an end
+                    pass
+                break
+            except BaseException as interruption:
                 interrupted = interruption
                 lib.bsq_interrupt(self.ctx)
                 # Interrupted within start(), the thread may never begin.
@@ -159,6 +162,21 @@ class Job:
             raise Error(70, "the call into the library failed")
         if status[0] < 0:
             raise Error(-status[0], _text(lib.bsq_error(self.ctx)))
+        if listener.get():
+            self.tell_files()
+
+    def tell_files(self) -> None:
+        """Tells the listener which files the last call read, but for temporary ones of this job."""
+        following, item = ffi.new("uint64_t *"), ffi.new("struct bsq_noted_input *")
+        identity = ffi.new("char[]", lib.BSQ_IDENTITY_BYTES)
+        while (found := lib.bsq_next_input(self.ctx, following, item)) > 0:
+            path = os.fsdecode(ffi.string(item.path))
+            lib.bsq_identity_text(ffi.addressof(item, "found"), identity)
+            if not item.own and not (self.folder and path.startswith(self.folder)):
+                listener.get().read(path, ffi.string(identity).decode() if item.opened else "")
+            lib.bsq_noted_input_free(item)
+        if found < 0:
+            raise MemoryError("no memory for the list of files")
 
     def take_rows(self, rows: Any) -> None:
         key = (_text(rows.map), _text(rows.path))
@@ -215,9 +233,11 @@ def _source(job: Job, scan: Any) -> Any:
     """Makes a scan in memory an input of the library: a PLY file whose bytes are made on demand."""
     mesh = as_mesh(scan)
     colors = mesh.colors
-    if colors is not None and colors.dtype.kind == "f":
-        colors = np.round(np.clip(colors, 0, 1) * 255).astype(np.uint8)
     normals = mesh.normals if mesh.normal_faces is None or mesh.normal_faces is mesh.faces else None
+    if getattr(getattr(scan, "visual", None), "kind", None) == "texture" or len(
+            getattr(scan, "textures", ())):
+        job.warnings.append("mesh in memory: its material and texture are not read: write it to a file, "
+                            "such as mesh.export('scan.obj'), and give its path")
     wide = mesh.vertices.dtype != np.float32
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(mesh.vertices)}"]
     lines += [f"property {'double' if wide else 'float'} {k}" for k in "xyz"]
@@ -226,17 +246,22 @@ def _source(job: Job, scan: Any) -> Any:
     lines += [f"element face {len(mesh.faces)}", "property list uchar uint vertex_indices",
               "end_header", ""]
     header = job.keep(ffi.new("char[]", "\n".join(lines).encode()))
-    indices = mesh.faces if mesh.faces.itemsize in (4, 8) else mesh.faces.astype(np.int64)
     arrays = job.keep(ffi.new("struct arrays *", {
         "header": header, "header_bytes": len(header) - 1,
         "vertex_count": len(mesh.vertices), "face_count": len(mesh.faces),
         "positions": _rows(job, mesh.vertices, ("f4", "f8"), "<f8"),
         "normals": _rows(job, normals, ("f4",), "<f4"), "colors": _rows(job, colors, ("u1",), "u1"),
-        "faces": _rows(job, indices, ("i4", "u4", "i8", "u8"), "<i8"),
-        "position_bytes": 8 if wide else 4, "index_bytes": indices.itemsize}))
+        "faces": _rows(job, mesh.faces, ("i4", "u4", "i8", "u8"), "<i8"),
+        "position_bytes": 8 if wide else 4, "index_bytes": mesh.faces.itemsize}))
     return job.keep(ffi.new("struct bsq_source *", {
         "size": ffi.sizeof("struct bsq_source"), "bytes": lib.arrays_size(arrays),
         "read": ffi.addressof(lib, "arrays_read"), "user": arrays}))
+
+
+def _word(name: str, word: str, words: Sequence[str]) -> int:
+    if word not in words:
+        raise ValueError(f"{name}: {word!r} is none of: {' '.join(words)}")
+    return words.index(word)
 
 
 def _kind(job: Job, path: str) -> int:
@@ -258,7 +283,7 @@ def _sort(job: Job, scan: Any, output: str, texture: Any = None, ids: str = "non
         options.scan_paths, options.scan_count = job.strings(paths), len(paths)
     options.tris_path = job.string(output)
     options.texture_path = job.string(texture)
-    options.ids = ("none", "material", "object", "color").index(ids)
+    options.ids = _word("ids", ids, ("none", "material", "object", "color"))
     options.channels = job.keep(ffi.new("struct vox_channel[]", [
         {"name": job.string(name), "texture_path": ffi.NULL} for name in channels]))
     options.channel_count = len(channels)
@@ -269,12 +294,18 @@ def _sort(job: Job, scan: Any, output: str, texture: Any = None, ids: str = "non
     return _plain(report)
 
 
+def is_chunks(scan: Any, job: Job | None = None) -> bool:
+    """Returns whether a scan is of chunk files."""
+    if _is_memory(scan):
+        return False
+    with contextlib.nullcontext(job) if job else Job() as job:
+        return all(_kind(job, path) == lib.FMT_KIND_TRIS for path in _paths(scan))
+
+
 def _chunks(job: Job, scan: Any) -> str | list[str]:
     """Returns the paths of a scan as chunk files; sorts meshes into a temporary one."""
-    if not _is_memory(scan):
-        paths = _paths(scan)
-        if all(_kind(job, path) == lib.FMT_KIND_TRIS for path in paths):
-            return paths
+    if is_chunks(scan, job):
+        return _paths(scan)
     path = job.temporary("scan.tris")
     _sort(job, scan, path)
     return [path]
@@ -308,7 +339,7 @@ def voxelize(scan: Any, output: str | os.PathLike, *, resolution: int = 2048,
         options.grid_path = job.string(os.fspath(output))
         options.resolution = 0 if voxel_size else resolution
         options.voxel_size = voxel_size or 0
-        options.scan_normals = ("area", "angle", "max", "flat").index(scan_normals)
+        options.scan_normals = _word("scan_normals", scan_normals, ("area", "angle", "max", "flat"))
         options.channels = job.string(channels)
         report = _new_report("struct vox_voxelize_report")
         job.run(lib.vox_voxelize, options, report)
@@ -333,7 +364,7 @@ def simplify(scan: Any, output: str | os.PathLike | None = None, *, triangles: i
         lib.vox_simplify_defaults(options)
         options.tris_paths, options.tris_count = job.strings(chunks), len(chunks)
         options.output_paths = job.strings([path])
-        options.targets = job.keep(ffi.new("uint64_t[]", [triangles or 0]))
+        options.targets = job.keep(ffi.new("uint64_t[]", [check_number("triangles", triangles or 0, 0, 2 ** 63)]))
         options.target_count = triangles is not None
         options.error = error or 0
         options.min_component, options.hard_angle = min_component, hard_angle
@@ -410,6 +441,8 @@ def _set_options(job: Job, options: Any, values: dict) -> None:
         row = rows.get(name) or rows.get(name + "_path")
         if row is None or row.kind == lib.BSQ_OPTION_LIST:
             raise TypeError(f"bake() has no option {name!r}")
+        if row.kind in (lib.BSQ_OPTION_COUNT, lib.BSQ_OPTION_CHOICE) and not isinstance(value, str):
+            value = check_number(name, value, 0, 2 ** 32 - 1)
         if isinstance(value, str) and row.words and row.kind in types:
             word = lib.bsq_option_word(row.words, value.encode())
             if word < 0:
@@ -499,7 +532,8 @@ def bake(high: Any, low: Any, maps: Sequence[str] = (), *, size: int | tuple[int
             o.scan_path = job.string(paths[0])
             o.more_scan_paths, o.more_scan_count = job.strings(paths[1:]), len(paths) - 1
             o.mesh_path = job.string(_low_path(job, low))
-            o.width, o.height = (size, size) if isinstance(size, int) else size
+            sides = (size, size) if np.ndim(size) == 0 else size
+            o.width, o.height = (check_number("size", side, 0, 2 ** 32 - 1) for side in sides)
             o.rows_only = output is None and not format
             o.output_path = job.string(output or os.path.join(
                 folder or job.temporary(""), f"<MAP>.{format or 'exr'}"))
@@ -538,7 +572,7 @@ def compare(a: str | os.PathLike, b: str | os.PathLike, *, mask: Any = None, kin
         lib.bake_compare_defaults(options)
         options.a_path, options.b_path = job.string(a), job.string(b)
         options.a_mask_path = options.b_mask_path = job.string(mask)
-        options.kind = ("auto", "normal", "color", "data").index(kind)
+        options.kind = _word("kind", kind, ("auto", "normal", "color", "data"))
         options.heatmap_path = job.string(heatmap)
         options.force = force
         report = _new_report("struct bake_compare_report")

@@ -9,12 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from .core import Progress, bake
+import bisque_start
+
+from . import programs
+from .core import Error, Progress, bake, quiet
 from .mesh import Mesh, as_mesh
 
 
-class UnwrapError(RuntimeError):
+class UnwrapError(Error):
     """A mesh that a library could not unwrap, with advice."""
+
+    def __init__(self, message: str):
+        super().__init__(65, message)
 
 
 ADVICE = ("ask for fewer triangles, drop small pieces (min_component=0.01), or take the other "
@@ -49,6 +55,7 @@ LIBRARIES = {"uvunwrap": _uvunwrap, "xatlas": _xatlas}
 
 
 def _main() -> None:
+    bisque_start.die_with_parent()
     source, target, library, size, padding = sys.argv[1:]
     with np.load(source) as data:
         uvs = LIBRARIES[library](data["vertices"], data["faces"], int(size), int(padding))
@@ -65,7 +72,8 @@ def _run(mesh: Mesh, library: str, size: int, padding: int, seconds: float) -> n
         command = [sys.executable, "-m", "bisque.uv", str(source), str(target), library, str(size),
                    str(padding)]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=seconds)
+            done = subprocess.run(command, capture_output=True, text=True, errors="replace",
+                                  timeout=seconds, env=programs.environment())
         except subprocess.TimeoutExpired:
             raise UnwrapError(f"{library} did not unwrap {len(mesh.faces)} triangles in {seconds:g}"
                               f" s: {ADVICE.format(other=other)}") from None
@@ -73,7 +81,11 @@ def _run(mesh: Mesh, library: str, size: int, padding: int, seconds: float) -> n
             reason = (done.stderr.strip() or f"it ended with {done.returncode}").splitlines()[-1]
             raise UnwrapError(f"{library} could not unwrap {len(mesh.faces)} triangles ({reason}): "
                               f"{ADVICE.format(other=other)}")
-        return np.load(target)
+        uvs = np.load(target)
+        if not np.isfinite(uvs).all():
+            raise UnwrapError(f"{library} made texture coordinates that are no numbers: "
+                              f"{ADVICE.format(other=other)}")
+        return uvs
 
 
 # ---- checks ----
@@ -133,14 +145,20 @@ def check_uvs(low: Any, size: int = 1024, **job: Any) -> dict:
     that are flipped or without area, the used share of the texels, the 95th percentile of stretch
     by area, the number of charts and the texels of the smallest one."""
     mesh = as_mesh(low)
+    if mesh.uvs is None:
+        raise ValueError("the mesh has no texture coordinates: unwrap() makes them")
     uvs = mesh.corner_uvs()
-    areas, stretches = _stretches(mesh, uvs)
+    with np.errstate(all="ignore"):
+        areas, stretches = _stretches(mesh, uvs)
     signed = _signed_areas(uvs)
+    for what, sizes in (("mesh", areas), ("texture coordinates", signed)):
+        if not 0 < np.abs(sizes).sum() < np.inf:
+            raise Error(65, f"the low-poly mesh: the area of its {what} is 0, or no number")
     charts = _charts(uvs, mesh.faces)
     texels = np.bincount(charts, np.abs(signed)) * size * size
-    # The mesh is its own scan: only what the raster counts is wanted.
-    counted = bake((mesh.vertices, mesh.faces), mesh, ("mask",), size=size, samples=1, padding=0,
-                   tiles=(1001,), as_is=True, two_sided=True, device="cpu", format="", arrays=False, **job).report
+    with quiet():  # the mesh is its own scan: only what the raster counts is wanted
+        counted = bake((mesh.vertices, mesh.faces), mesh, ("mask",), size=size, samples=1, padding=0, tiles=(1001,),
+                       as_is=True, two_sided=True, device="cpu", format="", arrays=False, **job).report
     real = areas > areas.max() * 1e-12
     return {"charts": len(texels), "smallest_chart_texels": float(texels.min()),
             "overlapping_samples": counted["overlapping_samples"],

@@ -1,0 +1,1 @@
+../../python/bisque/lines.py

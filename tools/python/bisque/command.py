@@ -1,0 +1,182 @@
+"""The program bisque-asset: options, progress, exit codes."""
+from __future__ import annotations
+
+import argparse
+import errno
+import json
+import os
+import signal
+import sys
+import traceback
+import warnings
+from typing import Any, NoReturn
+
+import bisque_start
+
+from . import core, uv
+from .asset import PRESETS, asset
+from .core import Error
+from .steps import FAILED_IO
+
+
+def _printable(text: Any) -> str:
+    """Returns a text in which nothing controls a terminal."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii")
+                   for c in str(text))
+
+
+class _Screen:
+    """Prints progress and lines to standard error."""
+
+    def __init__(self, kind: str):
+        self.kind, self.drawn = kind, False
+
+    def progress(self, stage: str, done: int, total: int, unit: str) -> None:
+        if self.kind == "json":
+            self._write(json.dumps({"stage": stage, "unit": unit, "done": done, "total": total}) + "\n")
+        elif self.kind == "bar":
+            width, share = 30, done / max(total, 1)
+            filled = int(width * share)
+            self._write(f"\r[{'#' * filled}{'.' * (width - filled)}] {int(100 * share):3d} % {stage[:36]:36s}")
+            self.drawn = True
+
+    def warn(self, message: Any, *_: Any) -> None:
+        if self.kind == "json":
+            self._write(json.dumps({"warning": str(message)}) + "\n")
+        else:
+            self.say(f"warning: {message}")
+
+    def say(self, text: Any) -> None:
+        self.end_bar()
+        self._write(f"bisque-asset: {_printable(text)}\n")
+
+    def end_bar(self) -> None:
+        if self.drawn:
+            self._write("\n")
+        self.drawn = False
+
+    @staticmethod
+    def _write(text: str) -> None:
+        try:
+            if sys.stderr:
+                sys.stderr.write(text)
+                sys.stderr.flush()
+        except OSError:
+            pass  # nobody reads it
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise ValueError(f"{message} (see bisque-asset --help)")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="bisque-asset", allow_abbrev=False,
+                     description="Makes a GLB file with baked maps of a scan of any size.")
+    parser.add_argument("scan", nargs="+", help="mesh files, read as one scan, or a .tris file")
+    parser.add_argument("-o", "--output", required=True, metavar="FILE.glb",
+                        help="the asset; its other files are beside it")
+    parser.add_argument("--preset", choices=PRESETS, default="web")
+    parser.add_argument("--low", metavar="FILE.obj", help="a low-poly mesh to use")
+    parser.add_argument("--texture", metavar="FILE", help="the scan's image, if it names none")
+    parser.add_argument("--triangles", type=int, metavar="N", help="of the low-poly mesh")
+    parser.add_argument("--size", type=int, metavar="N", help="texels of a side of the maps")
+    parser.add_argument("--maps", metavar="LIST", help="such as normal,color,ao")
+    parser.add_argument("--samples", type=int, default=2, metavar="N", help="N x N a texel")
+    parser.add_argument("--surface", choices=("auto", "grid", "exact"), default="auto")
+    parser.add_argument("--unwrap", choices=uv.LIBRARIES, default="uvunwrap", metavar="LIBRARY",
+                        help="uvunwrap or xatlas")
+    parser.add_argument("--unwrap-seconds", type=float, default=300, metavar="S")
+    parser.add_argument("--min-component", type=float, default=0, metavar="SHARE",
+                        help="drop pieces with a smaller share of the scan's diagonal")
+    parser.add_argument("--report", action="store_true", help="also write report.html, a page to look at")
+    parser.add_argument("--keep", metavar="DIR", help="keep the files between in DIR/bisque-steps")
+    parser.add_argument("--memory", metavar="SIZE", help="for each step, such as 1G")
+    parser.add_argument("-j", "--threads", type=int, default=0, metavar="N")
+    parser.add_argument("--progress", choices=("auto", "bar", "json", "none"), default="auto",
+                        help="on standard error; auto: a bar on a terminal")
+    parser.add_argument("--json", action="store_true", help="print the certificate instead of lines")
+    parser.add_argument("--version", action="version", version=f"bisque-asset {core.version()}")
+    return parser
+
+
+def _print(a: argparse.Namespace, certificate: dict) -> None:
+    """Prints what was made. Raises OSError."""
+    lines = [json.dumps(certificate, default=float)] if a.json else [
+        f"{_printable(a.output)}: {level['triangles']} triangles, {level['size']} x {level['size']} texels, "
+        f"{level['surface']['method']}; farthest from the scan {level['distance']['from_scan']['max']:.4g}; "
+        f"normals off by {level['normal_error']['mean']:.3g} degrees on average"
+        for level in certificate["levels"]]
+    if not sys.stdout:
+        raise OSError(errno.EBADF, os.strerror(errno.EBADF), "standard output")
+    try:
+        sys.stdout.reconfigure(errors="backslashreplace")
+        sys.stdout.write("\n".join(lines) + "\n")
+        sys.stdout.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left must not fail again at the end
+        raise OSError(error.errno, error.strerror, "standard output") from None
+
+
+def _make(arguments: list[str], screen: _Screen) -> None:
+    a = _parser().parse_args(arguments)
+    screen.kind = a.progress
+    if a.progress == "auto":
+        screen.kind = "bar" if sys.stderr and sys.stderr.isatty() else "none"
+    certificate = asset(
+        a.scan if len(a.scan) > 1 else a.scan[0], a.output, low=a.low, preset=a.preset,
+        triangles=a.triangles, size=a.size, maps=a.maps.split(",") if a.maps else None,
+        samples=a.samples, surface=a.surface, library=a.unwrap, unwrap_seconds=a.unwrap_seconds,
+        min_component=a.min_component, texture=a.texture, report=a.report, keep=a.keep, memory=a.memory,
+        threads=a.threads, progress=screen.progress, command=["bisque-asset", *arguments])
+    screen.end_bar()
+    _print(a, certificate)
+
+
+def _explain(error: BaseException) -> tuple[int, str]:
+    """Returns the exit code and the line of a failure."""
+    if isinstance(error, Error):
+        return error.status, error.message
+    if isinstance(error, MemoryError) or getattr(error, "errno", 0) == errno.ENOMEM:
+        return 71, str(error) or "out of memory"
+    if isinstance(error, OSError):
+        status = 74 if error.errno in {*FAILED_IO, errno.EBADF} else 73
+        return status, f"{error.filename}: {error.strerror}" if error.filename else str(error)
+    if isinstance(error, (ValueError, TypeError)) and traceback.extract_tb(error.__traceback__)[-1].line.startswith(
+            "raise "):
+        return 64, str(error)  # of our own checks
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return 70, (f"a bug: {type(error).__name__}: {error} ({os.path.basename(last.filename)}:{last.lineno}); "
+                "please report it")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the program; returns its exit code. The first signal ends the job in order, a second one at once."""
+    screen = _Screen("none")
+
+    def interrupt(*_: Any) -> NoReturn:
+        bisque_start.catch(bisque_start.end_at_once)
+        raise KeyboardInterrupt
+
+    sys.unraisablehook = lambda what: what.exc_type is KeyboardInterrupt and bisque_start.end_at_once()
+    warnings.simplefilter("always", UserWarning)
+    warnings.showwarning = screen.warn
+    try:
+        bisque_start.catch(interrupt)
+        _make(sys.argv[1:] if arguments is None else arguments, screen)
+        status = 0
+    except KeyboardInterrupt:
+        screen.end_bar()
+        status = 75
+    except SystemExit as end:  # of --help and --version
+        status = end.code or 0
+    except BaseException as error:
+        status, line = _explain(error)
+        if status == 75:
+            screen.end_bar()
+        else:
+            screen.say(line)
+    bisque_start.catch(signal.SIG_IGN)
+    if status == 75:
+        screen.say("interrupted; the same command goes on from here")
+    return status
