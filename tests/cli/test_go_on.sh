@@ -10,7 +10,7 @@ stopped()
     calls=$1 number=$2
     shift 2
     command="bisque-voxelize $* interrupted" code=0
-    FAULT_UNDER=$(pwd -P) FAULT_CALLS=$calls FAULT_AT=$number FAULT_DO=interrupt LD_PRELOAD=$TESTS/faults.so \
+    FAULT_UNDER=$(pwd -P) FAULT_CALLS=$calls FAULT_AT=$number FAULT_DO=TERM LD_PRELOAD=$TESTS/faults.so \
         env --default-signal=TERM "$BIN/bisque-voxelize" "$@" >"$out" 2>"$err" || code=$?
 }
 
