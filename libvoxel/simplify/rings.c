@@ -133,6 +133,14 @@ static bool has_opposite(struct vox_rings *r, uint32_t v, const uint32_t ends[2]
     return has;
 }
 
+/* Returns whether a triangle at the edge (u, v) is bordered on its other two edges, so that it
+ * would vanish without a trace: the last one of its piece, or of its material there. */
+static bool is_last(struct vox_rings *r, uint32_t u, uint32_t v, uint32_t opposite)
+{
+    return (r->flags[opposite] & VOX_BORDER) && vox_rings_is_border(r, u, opposite) &&
+           vox_rings_is_border(r, v, opposite);
+}
+
 bool vox_rings_keep_topology(struct vox_rings *r, uint32_t u, uint32_t v)
 {
     const uint32_t around_u = r->walk + 1, around_v = r->walk + 2;
@@ -153,6 +161,9 @@ bool vox_rings_keep_topology(struct vox_rings *r, uint32_t u, uint32_t v)
     if (count == 0 || count > 2 || (count == 2 && opposite[0] == opposite[1]) ||
         (count == 2 && both_border && !vox_rings_is_border(r, u, v)))
         return false;
+    for (unsigned i = 0; both_border && i < count; i++)
+        if (is_last(r, u, v, opposite[i]))
+            return false;
     for (VOX_EACH_CORNER(r, v, k)) {
         const uint32_t ends[2] = {vox_after(r, k), vox_before(r, k)};
         for (int i = 0; i < 2; i++)

@@ -46,7 +46,8 @@ bool vox_rings_is_border(struct vox_rings *r, uint32_t u, uint32_t v);
 
 /* Returns whether the link condition holds (Dey, Edelsbrunner, Guha and Nekhayev, 1999): the
  * vertices next to both u and v are those opposite to the edge, and no edge lies opposite to both.
- */
+ * All that lies beyond open borders counts as one more vertex, so the last triangle of a piece
+ * stays. */
 bool vox_rings_keep_topology(struct vox_rings *r, uint32_t u, uint32_t v);
 
 /* Returns whether the triangles of u without v keep their orientation if u moves to p. */
