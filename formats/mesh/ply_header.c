@@ -16,16 +16,23 @@ const uint8_t fmt_ply_type_bytes[PLY_TYPE_COUNT] = {
     [PLY_INT8] = 1,   [PLY_UINT8] = 1, [PLY_INT16] = 2,  [PLY_UINT16] = 2,  [PLY_INT32] = 4,
     [PLY_UINT32] = 4, [PLY_INT64] = 8, [PLY_UINT64] = 8, [PLY_FLOAT32] = 4, [PLY_FLOAT64] = 8};
 
-static const struct type_name {
-    const char *name;
-    enum ply_type type;
-} type_names[] = {{"char", PLY_INT8},      {"int8", PLY_INT8},      {"uchar", PLY_UINT8},
-                  {"uint8", PLY_UINT8},    {"short", PLY_INT16},    {"int16", PLY_INT16},
-                  {"ushort", PLY_UINT16},  {"uint16", PLY_UINT16},  {"int", PLY_INT32},
-                  {"int32", PLY_INT32},    {"uint", PLY_UINT32},    {"uint32", PLY_UINT32},
-                  {"long", PLY_INT64},     {"int64", PLY_INT64},    {"ulong", PLY_UINT64},
-                  {"uint64", PLY_UINT64},  {"float", PLY_FLOAT32},  {"float32", PLY_FLOAT32},
-                  {"double", PLY_FLOAT64}, {"float64", PLY_FLOAT64}};
+enum { MOST_NAMES = 4 };
+typedef const char *names_of[MOST_NAMES];
+
+static const names_of type_names[PLY_TYPE_COUNT] = {
+    [PLY_INT8] = {"char", "int8"},        [PLY_UINT8] = {"uchar", "uint8"},
+    [PLY_INT16] = {"short", "int16"},     [PLY_UINT16] = {"ushort", "uint16"},
+    [PLY_INT32] = {"int", "int32"},       [PLY_UINT32] = {"uint", "uint32"},
+    [PLY_INT64] = {"long", "int64"},      [PLY_UINT64] = {"ulong", "uint64"},
+    [PLY_FLOAT32] = {"float", "float32"}, [PLY_FLOAT64] = {"double", "float64"}};
+
+static bool is_among(const names_of names, const char *name)
+{
+    for (int i = 0; i < MOST_NAMES && names[i]; i++)
+        if (strcmp(names[i], name) == 0)
+            return true;
+    return false;
+}
 
 /* The header while it is read, line by line. */
 struct lines {
@@ -176,10 +183,10 @@ static int read_element(struct lines *l, char *rest)
 
 static enum ply_type find_type(const char *name)
 {
-    for (size_t i = 0; i < sizeof type_names / sizeof *type_names; i++)
-        if (strcmp(type_names[i].name, name) == 0)
-            return type_names[i].type;
-    return PLY_NO_TYPE;
+    int type = PLY_TYPE_COUNT - 1;
+    while (type > PLY_NO_TYPE && !is_among(type_names[type], name))
+        type--;
+    return (enum ply_type)type;
 }
 
 static int read_property(struct lines *l, char *rest)
@@ -252,54 +259,40 @@ static int read_statement(struct lines *l)
 
 /* ---- roles: the names are those that scanners and mesh programs write ---- */
 
-static const struct role_name {
-    const char *name;
-    enum ply_role role;
-} vertex_names[] = {{"x", PLY_X},         {"y", PLY_Y},         {"z", PLY_Z},
-                    {"nx", PLY_NX},       {"ny", PLY_NY},       {"nz", PLY_NZ},
-                    {"normal_x", PLY_NX}, {"normal_y", PLY_NY}, {"normal_z", PLY_NZ},
-                    {"s", PLY_S},         {"t", PLY_T},         {"u", PLY_S},
-                    {"v", PLY_T},         {"texture_u", PLY_S}, {"texture_v", PLY_T},
-                    {"texture_s", PLY_S}, {"texture_t", PLY_T}},
-  color_names[] = {{"red", PLY_RED},           {"green", PLY_GREEN},
-                   {"blue", PLY_BLUE},         {"r", PLY_RED},
-                   {"g", PLY_GREEN},           {"b", PLY_BLUE},
-                   {"diffuse_red", PLY_RED},   {"diffuse_green", PLY_GREEN},
-                   {"diffuse_blue", PLY_BLUE}, {"alpha", PLY_ALPHA},
-                   {"a", PLY_ALPHA},           {"diffuse_alpha", PLY_ALPHA}},
-  face_numbers[] = {{"texnumber", PLY_TEXTURE_NUMBER}},
-  index_lists[] = {{"vertex_indices", PLY_INDICES}, {"vertex_index", PLY_INDICES}},
-  face_lists[] = {{"texcoord", PLY_CORNER_TEXCOORDS}};
+enum { OF_VERTICES = 1 << PLY_VERTICES, OF_FACES = 1 << PLY_FACES };
 
-#define COUNT(table) (sizeof(table) / sizeof *(table))
-
-static enum ply_role find_role(const struct role_name *names, size_t count, const char *name)
-{
-    for (size_t i = 0; i < count; i++)
-        if (strcmp(names[i].name, name) == 0)
-            return names[i].role;
-    return PLY_UNUSED;
-}
+static const struct role_row {
+    unsigned kinds; /* of elements, a bit for each */
+    bool list;
+    names_of names;
+} role_rows[PLY_ROLE_COUNT] = {
+    [PLY_X] = {OF_VERTICES, false, {"x"}},
+    [PLY_Y] = {OF_VERTICES, false, {"y"}},
+    [PLY_Z] = {OF_VERTICES, false, {"z"}},
+    [PLY_NX] = {OF_VERTICES, false, {"nx", "normal_x"}},
+    [PLY_NY] = {OF_VERTICES, false, {"ny", "normal_y"}},
+    [PLY_NZ] = {OF_VERTICES, false, {"nz", "normal_z"}},
+    [PLY_S] = {OF_VERTICES, false, {"s", "u", "texture_u", "texture_s"}},
+    [PLY_T] = {OF_VERTICES, false, {"t", "v", "texture_v", "texture_t"}},
+    [PLY_RED] = {OF_VERTICES | OF_FACES, false, {"red", "r", "diffuse_red"}},
+    [PLY_GREEN] = {OF_VERTICES | OF_FACES, false, {"green", "g", "diffuse_green"}},
+    [PLY_BLUE] = {OF_VERTICES | OF_FACES, false, {"blue", "b", "diffuse_blue"}},
+    [PLY_ALPHA] = {OF_VERTICES | OF_FACES, false, {"alpha", "a", "diffuse_alpha"}},
+    [PLY_TEXTURE_NUMBER] = {OF_FACES, false, {"texnumber"}},
+    [PLY_INDICES] = {OF_FACES, true, {"vertex_indices", "vertex_index"}},
+    [PLY_CORNER_TEXCOORDS] = {OF_FACES, true, {"texcoord"}},
+};
 
 /* Returns what a property of an element of this kind is for. */
 static enum ply_role role_of(enum ply_kind kind, const struct ply_property *p)
 {
-    bool list = p->count_type != PLY_NO_TYPE;
-    enum ply_role role = PLY_UNUSED;
-    if (list) {
-        if (kind == PLY_FACES)
-            role = find_role(index_lists, COUNT(index_lists), p->name);
-        if (role == PLY_UNUSED && kind == PLY_FACES)
-            role = find_role(face_lists, COUNT(face_lists), p->name);
-        return role;
+    for (int role = PLY_UNUSED + 1; role < PLY_ROLE_COUNT; role++) {
+        const struct role_row *row = &role_rows[role];
+        if (row->kinds >> kind & 1 && row->list == (p->count_type != PLY_NO_TYPE) &&
+            is_among(row->names, p->name))
+            return (enum ply_role)role;
     }
-    if (kind == PLY_VERTICES)
-        role = find_role(vertex_names, COUNT(vertex_names), p->name);
-    if (kind == PLY_FACES)
-        role = find_role(face_numbers, COUNT(face_numbers), p->name);
-    if (role == PLY_UNUSED && (kind == PLY_VERTICES || kind == PLY_FACES))
-        role = find_role(color_names, COUNT(color_names), p->name);
-    return role;
+    return PLY_UNUSED;
 }
 
 static enum ply_kind kind_of(const char *name)
@@ -309,26 +302,26 @@ static enum ply_kind kind_of(const char *name)
     return strcmp(name, "face") == 0 ? PLY_FACES : PLY_OTHER;
 }
 
-/* Returns true if the element has properties with all roles from `first` to `last`. */
-static bool has_roles(const struct ply_element *element, enum ply_role first, enum ply_role last)
-{
-    for (int role = (int)first; role <= (int)last; role++)
-        if (!element->role[role])
-            return false;
-    return true;
-}
-
-/* Takes roles back from groups that are incomplete, such as x and y without z. */
-static void drop_group(struct ply_element *element, struct ply_property *properties,
+/* Takes the roles from `first` to `last` back from the properties of an element. */
+static void drop_roles(struct ply_element *element, struct ply_property *properties,
                        enum ply_role first, enum ply_role last)
 {
-    if (has_roles(element, first, last))
-        return;
     for (int role = (int)first; role <= (int)last; role++) {
         if (element->role[role])
             properties[element->role[role] - properties].role = PLY_UNUSED;
         element->role[role] = NULL;
     }
+}
+
+/* Drops a group of roles that is incomplete, such as x and y without z. */
+static void check_group(struct ply_element *element, struct ply_property *properties,
+                        enum ply_role first, enum ply_role last)
+{
+    bool complete = true;
+    for (int role = (int)first; role <= (int)last; role++)
+        complete &= element->role[role] != NULL;
+    if (!complete)
+        drop_roles(element, properties, first, last);
 }
 
 static void describe_element(struct ply_header *header, struct ply_element *element)
@@ -348,15 +341,15 @@ static void describe_element(struct ply_header *header, struct ply_element *elem
         if (p->role != PLY_UNUSED)
             element->role[p->role] = p;
     }
-    drop_group(element, properties, PLY_X, PLY_Z);
-    drop_group(element, properties, PLY_NX, PLY_NZ);
-    drop_group(element, properties, PLY_RED, PLY_BLUE);
-    drop_group(element, properties, PLY_S, PLY_T);
+    check_group(element, properties, PLY_X, PLY_Z);
+    check_group(element, properties, PLY_NX, PLY_NZ);
+    check_group(element, properties, PLY_RED, PLY_BLUE);
+    check_group(element, properties, PLY_S, PLY_T);
 }
 
 /* ---- checks ---- */
 
-const struct ply_element *fmt_ply_find_element(const struct ply_header *header, enum ply_kind kind)
+struct ply_element *fmt_ply_find_element(const struct ply_header *header, enum ply_kind kind)
 {
     for (uint32_t i = 0; i < header->element_count; i++)
         if (header->elements[i].kind == kind)
@@ -430,6 +423,9 @@ static int find_roles(struct bsq_ctx *ctx, struct fmt_input *input, struct ply_h
     int status;
     BSQ_TRY(check_kinds(ctx, fmt_input_path(input), header));
     BSQ_TRY(check_is_mesh(ctx, fmt_input_path(input), header));
+    /* Texture coordinates of vertices are not read beside those of corners. */
+    if (fmt_ply_find_element(header, PLY_FACES)->role[PLY_CORNER_TEXCOORDS])
+        drop_roles(fmt_ply_find_element(header, PLY_VERTICES), header->properties, PLY_S, PLY_T);
     status = check_size(ctx, input, header);
 done:
     return status;

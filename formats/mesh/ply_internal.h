@@ -100,7 +100,7 @@ int fmt_ply_header_read(struct bsq_ctx *ctx, struct fmt_input *input, struct ply
 void fmt_ply_header_free(struct bsq_ctx *ctx, struct ply_header *header);
 
 /* Returns the element of this kind, or NULL. */
-const struct ply_element *fmt_ply_find_element(const struct ply_header *header, enum ply_kind kind);
+struct ply_element *fmt_ply_find_element(const struct ply_header *header, enum ply_kind kind);
 
 /* Warns of elements and properties that are not read. */
 void fmt_ply_warn_unread(struct bsq_ctx *ctx, const char *path, const struct ply_header *header);

@@ -155,40 +155,63 @@ static inline bool skip_property(struct cursor *c, const struct ply_property *p)
 
 /* ---- vertices ---- */
 
-/* Stores one property of `count` vertices that are `each` bytes apart. `type` and `swap` are
- * constants where this is inlined. Integers of colours become 0 to 255, real numbers stay. */
-static inline __attribute__((always_inline)) void
-copy_property(struct mesh_arrays *a, const uint8_t *from, uint64_t each, uint64_t count,
-              const struct ply_property *p, enum ply_type type, bool swap)
+/* Where the values of a property go: that of vertex i to doubles[i * step] or floats[i * 3]. Both
+ * are NULL if the property is not read. */
+struct column {
+    double *doubles;
+    float *floats;
+    uint64_t step;
+};
+
+static inline struct column find_column(const struct mesh_arrays *a, const struct ply_property *p)
 {
     const enum ply_role role = p->role;
-    const float scale = type == PLY_UINT16 ? 1.0f / 257.0f : 1.0f;
-    from += p->offset;
     if (role >= PLY_X && role <= PLY_Z)
-        for (uint64_t i = 0; i < count; i++)
-            a->positions[i][role - PLY_X] = ply_real(from + i * each, type, swap);
-    else if (role >= PLY_NX && role <= PLY_NZ)
-        for (uint64_t i = 0; i < count; i++)
-            a->normals[i][role - PLY_NX] = (float)ply_real(from + i * each, type, swap);
-    else if (role >= PLY_RED && role <= PLY_BLUE)
-        for (uint64_t i = 0; i < count; i++)
-            a->colors[i][role - PLY_RED] = (float)ply_real(from + i * each, type, swap) * scale;
-    else if (role == PLY_S || role == PLY_T)
-        for (uint64_t i = 0; i < count; i++)
-            a->texcoords[i][role - PLY_S] = ply_real(from + i * each, type, swap);
+        return (struct column){.doubles = &a->positions[0][role - PLY_X], .step = 3};
+    if (role >= PLY_NX && role <= PLY_NZ)
+        return (struct column){.floats = &a->normals[0][role - PLY_NX]};
+    if (role >= PLY_RED && role <= PLY_BLUE)
+        return (struct column){.floats = &a->colors[0][role - PLY_RED]};
+    if (role == PLY_S || role == PLY_T)
+        return (struct column){.doubles = &a->texcoords[0][role - PLY_S], .step = 2};
+    return (struct column){0};
 }
 
-static void read_column(struct mesh_arrays *a, const uint8_t *from, uint64_t each, uint64_t count,
-                        const struct ply_property *p, bool swap)
+/* Returns the factor that makes integers of colours 0 to 255; real numbers stay. The length of a
+ * normal has no meaning. */
+static inline float float_scale(enum ply_type type)
 {
+    return type == PLY_UINT16 ? 1.0f / 257.0f : 1.0f;
+}
+
+/* Stores one property of `count` vertices that are `each` bytes apart. `type` and `swap` are
+ * constants where this is inlined. */
+static inline __attribute__((always_inline)) void copy_property(struct column to,
+                                                                const uint8_t *from, uint64_t each,
+                                                                uint64_t count, enum ply_type type,
+                                                                bool swap)
+{
+    if (to.doubles)
+        for (uint64_t i = 0; i < count; i++)
+            to.doubles[i * to.step] = ply_real(from + i * each, type, swap);
+    else if (to.floats)
+        for (uint64_t i = 0; i < count; i++)
+            to.floats[i * 3] = (float)ply_real(from + i * each, type, swap) * float_scale(type);
+}
+
+static void read_column(const struct mesh_arrays *a, const uint8_t *from, uint64_t each,
+                        uint64_t count, const struct ply_property *p, bool swap)
+{
+    const struct column to = find_column(a, p);
+    from += p->offset;
     if (p->type == PLY_FLOAT32 && !swap)
-        copy_property(a, from, each, count, p, PLY_FLOAT32, false);
+        copy_property(to, from, each, count, PLY_FLOAT32, false);
     else if (p->type == PLY_FLOAT64 && !swap)
-        copy_property(a, from, each, count, p, PLY_FLOAT64, false);
+        copy_property(to, from, each, count, PLY_FLOAT64, false);
     else if (p->type == PLY_UINT8)
-        copy_property(a, from, each, count, p, PLY_UINT8, false);
+        copy_property(to, from, each, count, PLY_UINT8, false);
     else
-        copy_property(a, from, each, count, p, p->type, swap);
+        copy_property(to, from, each, count, p->type, swap);
 }
 
 /* Copies positions of three floats in a row, which most scans have. Returns false if they are
@@ -225,33 +248,18 @@ static uint64_t read_equal_vertices(const struct cursor *c, const struct ply_ele
     return count;
 }
 
-static void store_vertex(struct mesh_arrays *arrays, uint64_t vertex, const struct ply_property *p,
-                         double value)
-{
-    const double scale = p->type == PLY_UINT16 ? 1.0 / 257.0 : 1.0;
-    if (p->role >= PLY_X && p->role <= PLY_Z)
-        arrays->positions[vertex][p->role - PLY_X] = value;
-    else if (p->role >= PLY_NX && p->role <= PLY_NZ)
-        arrays->normals[vertex][p->role - PLY_NX] = (float)value;
-    else if (p->role >= PLY_RED && p->role <= PLY_BLUE)
-        arrays->colors[vertex][p->role - PLY_RED] = (float)(value * scale);
-    else if (p->role == PLY_S || p->role == PLY_T)
-        arrays->texcoords[vertex][p->role - PLY_S] = value;
-}
-
 static bool read_vertex(struct cursor *c, const struct ply_element *element, uint64_t vertex)
 {
     const struct ply_property *p = c->source->header.properties + element->first_property;
     for (uint32_t i = 0; i < element->property_count; i++, p++) {
+        const struct column to = find_column(c->arrays, p);
         double value;
-        if (p->role == PLY_UNUSED || p->role == PLY_ALPHA) {
-            if (!skip_property(c, p))
-                return false;
-        } else if (read_real(c, p->type, &value)) {
-            store_vertex(c->arrays, vertex, p, value);
-        } else {
+        if (!to.doubles && !to.floats ? !skip_property(c, p) : !read_real(c, p->type, &value))
             return false;
-        }
+        if (to.doubles)
+            to.doubles[vertex * to.step] = value;
+        else if (to.floats)
+            to.floats[vertex * 3] = (float)value * float_scale(p->type);
     }
     return true;
 }

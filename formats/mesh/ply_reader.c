@@ -21,22 +21,6 @@ static bool recognise(const char *head, size_t size)
            (head[mark + 3] == '\n' || head[mark + 3] == '\r');
 }
 
-/* Leaves the texture coordinates of vertices unread, for files whose corners have their own. */
-static void drop_vertex_texcoords(struct ply_header *header)
-{
-    for (uint32_t e = 0; e < header->element_count; e++) {
-        struct ply_element *element = &header->elements[e];
-        if (element->kind != PLY_VERTICES)
-            continue;
-        for (uint32_t i = 0; i < element->property_count; i++) {
-            struct ply_property *p = &header->properties[element->first_property + i];
-            if (p->role == PLY_S || p->role == PLY_T)
-                p->role = PLY_UNUSED;
-        }
-        element->role[PLY_S] = element->role[PLY_T] = NULL;
-    }
-}
-
 /* Decides what the properties of a file's header are used for. */
 static void choose_use(struct ply_source *source)
 {
@@ -44,8 +28,6 @@ static void choose_use(struct ply_source *source)
     const struct ply_element *faces = fmt_ply_find_element(&source->header, PLY_FACES);
     source->vertex_normals = vertices->role[PLY_NX] != NULL;
     source->corner_texcoords = faces->role[PLY_CORNER_TEXCOORDS];
-    if (source->corner_texcoords)
-        drop_vertex_texcoords(&source->header);
     source->vertex_texcoords = vertices->role[PLY_S] != NULL;
     if (source->header.texture_count > 0 && (source->corner_texcoords || source->vertex_texcoords))
         source->tags = PLY_TAGS_TEXTURE;

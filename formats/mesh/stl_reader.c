@@ -42,8 +42,7 @@ struct stl_source {
 static bool is_text(const char *head, size_t size)
 {
     size_t blanks = fmt_mesh_mark(head, size);
-    while (blanks < size && head[blanks] != '\0' && (unsigned char)head[blanks] <= ' ')
-        blanks++;
+    blanks += fmt_mesh_count_space(head + blanks, size - blanks);
     return size - blanks >= 5 && strncasecmp(head + blanks, "solid", 5) == 0 &&
            memchr(head, '\0', size) == NULL;
 }
@@ -337,25 +336,13 @@ done:
  * ends of loops matter. The name of a solid ends with its line, or before "facet normal", because
  * some files are one line. Files are cut after the word "endfacet". */
 
-static bool is_line_end(uint8_t c)
-{
-    return c == '\n' || c == '\r';
-}
-
-/* Returns the position of the first character from `at` on that is no blank, at most `size`. */
-static uint64_t skip_blanks(const uint8_t *text, uint64_t at, uint64_t size)
-{
-    return at + fmt_mesh_count_space(text + at, size - at);
-}
-
 /* Returns whether the `size` bytes have "facet normal" at `at`. */
-static bool is_facet_normal(const uint8_t *text, uint64_t at, uint64_t size)
+static bool is_facet_normal(const char *text, uint64_t at, uint64_t size)
 {
-    if (size - at < 5 || strncasecmp((const char *)text + at, "facet", 5) != 0)
+    if (size - at < 5 || strncasecmp(text + at, "facet", 5) != 0)
         return false;
-    const uint64_t normal = skip_blanks(text, at + 5, size);
-    return normal > at + 5 && size - normal >= 6 &&
-           strncasecmp((const char *)text + normal, "normal", 6) == 0;
+    const uint64_t normal = at + 5 + fmt_mesh_count_space(text + at + 5, size - at - 5);
+    return normal > at + 5 && size - normal >= 6 && strncasecmp(text + normal, "normal", 6) == 0;
 }
 
 /* Returns whether the word "endfacet" is at `at`. */
@@ -487,12 +474,11 @@ static bool finish_loop(struct text *t)
 /* Skips the name of a solid: the rest of the line, or what comes before "facet normal". */
 static bool skip_name(struct text *t, int solids)
 {
-    const uint8_t *text = (const uint8_t *)t->at;
     const uint64_t size = (uint64_t)(t->end - t->at);
     uint64_t at = 0;
     t->slot->balance += solids;
-    while (at < size && !is_line_end(text[at]) &&
-           !(text[at] <= ' ' && is_facet_normal(text, at + 1, size)))
+    while (at < size && !fmt_mesh_line_end(t->at + at) &&
+           !((unsigned char)t->at[at] <= ' ' && is_facet_normal(t->at, at + 1, size)))
         at++;
     t->at += at;
     return true;
