@@ -222,8 +222,6 @@ static int parse_positions(struct parser *p)
         for (int k = 0; k < 3; k++)
             p->arrays->positions[i][k] =
                 m[k][0] * from[0] + m[k][1] * from[1] + m[k][2] * from[2] + m[k][3];
-    p->slot->odd[STREAM_NO_POSITION].count =
-        fmt_stream_clear_bad(&p->arrays->positions[0][0], p->count, 3);
     p->arrays->count[FMT_MESH_VERTEX] = p->count;
     return 0;
 }
@@ -243,8 +241,6 @@ static int parse_normals(struct parser *p)
             const double value = m[k][0] * from[0] + m[k][1] * from[1] + m[k][2] * from[2];
             p->arrays->normals[i][k] = fabs(value) <= 3e38 ? (float)value : NAN;
         }
-    p->slot->odd[STREAM_NO_NORMAL].count =
-        fmt_stream_replace_bad(p->arrays->normals, p->count, 0.0f);
     p->arrays->count[FMT_MESH_NORMAL] = p->count;
     return 0;
 }
@@ -269,8 +265,6 @@ static int parse_texcoords(struct parser *p)
         to[0] = m[0][0] * from[0] + m[0][1] * from[1] + m[0][2];
         to[1] = 1 - (m[1][0] * from[0] + m[1][1] * from[1] + m[1][2]);
     }
-    p->slot->odd[STREAM_NO_TEXCOORD].count =
-        fmt_stream_clear_bad(&p->arrays->texcoords[0][0], p->count, 2);
     p->arrays->count[FMT_MESH_TEXCOORD] = p->count;
     return 0;
 }
@@ -301,8 +295,6 @@ static int parse_colors(struct parser *p)
     for (uint64_t i = 0; i < p->count; i++, from += step)
         for (int k = 0; k < 3; k++)
             p->arrays->colors[i][k] = isfinite(from[k]) ? display_color(from[k] * factor[k]) : NAN;
-    p->slot->odd[STREAM_NO_COLOR].count =
-        fmt_stream_replace_bad(p->arrays->colors, p->count, -1.0f);
     p->arrays->has_colors = true;
     p->slot->color_white = 1;
     return 0;

@@ -127,6 +127,7 @@ struct stream_slot {
     uint64_t work_capacity;
     struct stream_statement *statements;
     uint64_t statement_count, statement_capacity;
+    bool finite;                /* the parser saw that all numbers of the file are finite */
     unsigned local;             /* a bit for each kind whose indices count from the first element
                                    of the part, and not of the file */
     int64_t balance;            /* a count of the format */
@@ -182,7 +183,8 @@ struct fmt_mesh_format {
      * slot->loaded. What is wrong with the file goes to slot->error, as in `parse`. */
     int (*cut)(const struct stream_part *before, struct stream_slot *slot);
     /* Fills slot->arrays with indices that count from the start of the file, or as slot->local
-     * says, and materials that are numbers of `pass`. May make slot->part more exact. Thread-safe.
+     * says, and materials that are numbers of `pass`. Numbers need not be finite: the stream counts
+     * the others as oddities. May make slot->part more exact. Thread-safe.
      * What is wrong with the file goes to slot->error, with slot->at: parts are parsed in any
      * order, and only the first error of the files is reported. No two arrays overlap: callers
      * change them. */
@@ -280,12 +282,6 @@ int fmt_stream_cut_text(struct stream_slot *slot, uint64_t usual,
                         uint64_t (*find)(struct stream_slot *slot, uint64_t have, bool at_end));
 /* Loads the bytes of a part, unless they are loaded. */
 int fmt_stream_load(struct stream_slot *slot);
-
-/* Makes all numbers of a vector NaN if one is not finite, for `count` vectors of `size` numbers.
- * Returns how many there are. */
-uint64_t fmt_stream_clear_bad(double *numbers, uint64_t count, unsigned size);
-/* Sets vectors that are not finite to `missing`. Returns how many there are. */
-uint64_t fmt_stream_replace_bad(float (*vectors)[3], uint64_t count, float missing);
 
 /* Describes what is wrong with a part, at a line or byte of its file; 0: the text says where.
  * Returns 0, so that a parse function can return it. Only the first description of a part is kept.

@@ -28,7 +28,6 @@ struct loader {
     uint64_t corner_capacity[3], corner_count;
     bool has_corners[3];
     uint64_t cut[3]; /* the first index of a kind that is too large for 32 bits; 0: none */
-    uint64_t missing_positions, missing_texcoords;
     struct loss lost_faces, lost_normals; /* without a position; that refer to nothing */
     bool named;                           /* the names of materials and objects are wanted */
     uint64_t material_capacity;
@@ -119,8 +118,6 @@ static int collect(void *arg, const struct fmt_mesh_batch *batch)
     for (int kind = 0; kind < 3 && batch->corner_count; kind++)
         BSQ_TRY(append_corners(loader, kind, corners[kind], batch->corner_count));
     loader->corner_count += batch->corner_count;
-    loader->missing_positions += batch->missing_positions;
-    loader->missing_texcoords += batch->missing_texcoords;
     if (loader->named && batch->face_count > 0)
         BSQ_TRY(append_parts(loader, batch));
 done:
@@ -145,8 +142,6 @@ static void count_loss(struct loss *loss, uint64_t face)
 /* Returns whether a polygon, whose corners begin at `first`, has a vertex without a position. */
 static bool lacks_position(const struct loader *loader, uint64_t face, uint64_t first)
 {
-    if (loader->missing_positions == 0)
-        return false;
     for (uint32_t i = 0; i < loader->face_sizes[face]; i++)
         if (isnan(loader->mesh->positions[loader->corners[0][first + i]][0]))
             return true;
@@ -169,8 +164,7 @@ static int check_corner(struct loader *loader, const uint64_t totals[3], uint64_
         }
     }
     uint32_t *texcoord = &loader->corners[FMT_MESH_TEXCOORD][corner];
-    if (loader->missing_texcoords > 0 && *texcoord != UINT32_MAX &&
-        isnan(loader->mesh->texcoords[*texcoord][0]))
+    if (*texcoord != UINT32_MAX && isnan(loader->mesh->texcoords[*texcoord][0]))
         *texcoord = UINT32_MAX;
     return 0;
 }

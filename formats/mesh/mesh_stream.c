@@ -138,13 +138,15 @@ static bool all_finite(const double *numbers, uint64_t count)
     return carries >> 63 == 0;
 }
 
-uint64_t fmt_stream_clear_bad(double *numbers, uint64_t count, unsigned size)
+/* Makes all numbers of a vector NaN if one is not finite, for `count` vectors of `size` numbers.
+ * Returns how many there are. */
+static uint64_t clear_bad(void *vectors, uint64_t count, unsigned size)
 {
     uint64_t bad = 0;
-    if (all_finite(numbers, count * size))
+    double *v = vectors;
+    if (all_finite(v, count * size))
         return 0;
-    for (uint64_t i = 0; i < count; i++) {
-        double *v = numbers + i * size;
+    for (uint64_t i = 0; i < count; i++, v += size) {
         if (all_finite(v, size))
             continue;
         for (unsigned k = 0; k < size; k++)
@@ -154,7 +156,8 @@ uint64_t fmt_stream_clear_bad(double *numbers, uint64_t count, unsigned size)
     return bad;
 }
 
-uint64_t fmt_stream_replace_bad(float (*vectors)[3], uint64_t count, float missing)
+/* Sets vectors that are not finite to `missing`. Returns how many there are. */
+static uint64_t replace_bad(float (*vectors)[3], uint64_t count, float missing)
 {
     uint64_t bad = 0;
     for (uint64_t i = 0; i < count; i++) {
@@ -165,6 +168,18 @@ uint64_t fmt_stream_replace_bad(float (*vectors)[3], uint64_t count, float missi
         bad++;
     }
     return bad;
+}
+
+/* Marks elements of a part that are not finite, and counts them. */
+static void mark_bad(struct stream_slot *slot)
+{
+    struct mesh_arrays *a = &slot->arrays;
+    struct stream_oddity *odd = slot->odd;
+    odd[STREAM_NO_POSITION].count = clear_bad(a->positions, a->count[FMT_MESH_VERTEX], 3);
+    odd[STREAM_NO_TEXCOORD].count = clear_bad(a->texcoords, a->count[FMT_MESH_TEXCOORD], 2);
+    odd[STREAM_NO_NORMAL].count = replace_bad(a->normals, a->count[FMT_MESH_NORMAL], 0.0f);
+    if (a->has_colors && slot->color_white != 255.0f) /* the files' integers are finite */
+        odd[STREAM_NO_COLOR].count += replace_bad(a->colors, a->count[FMT_MESH_VERTEX], -1.0f);
 }
 
 /* ---- cutting and parsing ---- */
@@ -208,6 +223,7 @@ static void clear_slot(struct stream_slot *slot)
     a->has_colors = false;
     a->vertex_bound = UINT64_MAX;
     slot->statement_count = slot->short_faces = 0;
+    slot->finite = false;
     slot->local = 0;
     slot->balance = 0;
     slot->color_white = 0;
@@ -220,7 +236,10 @@ static int work(void *arg, void *slot_memory, uint64_t sequence, unsigned worker
     (void)arg, (void)sequence, (void)worker;
     clear_slot(slot);
     slot->last_face = UINT64_MAX;
-    return slot->part.failed ? 0 : slot->source->format->parse(slot);
+    const int status = slot->part.failed ? 0 : slot->source->format->parse(slot);
+    if (!status && !slot->finite)
+        mark_bad(slot);
+    return status;
 }
 
 /* ---- materials ---- */

@@ -34,8 +34,7 @@ struct parser {
     const char *end; /* of the text */
     bool objects;    /* keep o and g statements */
     int status;
-    uint64_t vertices;   /* the bits of all indices of vertices, from 1 */
-    unsigned not_finite; /* a bit for each number of the line that is not finite */
+    uint64_t vertices; /* the bits of all indices of vertices, from 1 */
 };
 
 __attribute__((format(printf, 2, 3))) static const char *fail(struct parser *parser,
@@ -128,22 +127,22 @@ __attribute__((cold, noinline)) static void note_odd(struct parser *parser, int 
     struct stream_oddity *odd = &parser->slot->odd[oddity];
     if (!odd->count++)
         odd->at = parser->slot->part.lines + 1;
+    parser->slot->finite &= oddity >= STREAM_FORMAT_ODDITIES;
 }
 
-/* Reads a word that is no number, as number `n` of its line. Returns NULL unless it stands for one
- * that is not finite. */
+/* Reads a word that is no number. Returns NULL unless it stands for one that is not finite. */
 __attribute__((cold, noinline)) static const char *parse_not_finite(struct parser *parser,
-                                                                    const char *p, int n)
+                                                                    const char *p, double *out)
 {
     const char *after = fmt_obj_not_finite(p);
     if (!after)
         return fail_number(parser, p);
-    parser->not_finite |= 1u << n;
+    *out = NAN;
     return after;
 }
 
-/* Reads up to `most` numbers and sets *count. Numbers that are not finite set their bit of
- * parser->not_finite. Returns NULL if one is malformed. */
+/* Reads up to `most` numbers and sets *count. Numbers that are not finite become NaN. Returns NULL
+ * if one is malformed. */
 static const char *parse_numbers(struct parser *parser, const char *p, double *numbers, int most,
                                  int *count)
 {
@@ -153,7 +152,7 @@ static const char *parse_numbers(struct parser *parser, const char *p, double *n
         if (n == most || at_line_end(*p))
             break;
         const char *after = obj_number(p, &numbers[n]);
-        if (__builtin_expect(!after, 0) && !(after = parse_not_finite(parser, p, n)))
+        if (__builtin_expect(!after, 0) && !(after = parse_not_finite(parser, p, &numbers[n])))
             return NULL;
         p = after;
     }
@@ -195,7 +194,7 @@ static const char *parse_vertex_rest(struct parser *parser, const char *p)
         return fail(parser, "a vertex of more than 7 numbers, expected 3, 4, 6 or 7");
     if (__builtin_expect(count == 2, 0))
         note_odd(parser, OBJ_VERTEX_SIZE);
-    if (__builtin_expect(count >= 3 && (parser->not_finite & 7) != 0, 0)) {
+    if (__builtin_expect(count >= 3 && isnan(extra[0] + extra[1] + extra[2]), 0)) {
         note_odd(parser, STREAM_NO_COLOR);
         count = 0;
     }
@@ -209,10 +208,8 @@ static const char *parse_vertex_rest(struct parser *parser, const char *p)
 __attribute__((cold, noinline)) static const char *
 parse_odd_coordinate(struct parser *parser, const char *p, double *position, int i)
 {
-    if (!at_line_end(*p)) {
-        position[i] = NAN;
-        return parse_not_finite(parser, p, i);
-    }
+    if (!at_line_end(*p))
+        return parse_not_finite(parser, p, &position[i]);
     if (i < 2)
         return fail(parser, "a vertex of %d numbers, expected 3, 4, 6 or 7", i);
     note_odd(parser, OBJ_VERTEX_SIZE);
@@ -234,11 +231,8 @@ static const char *parse_vertex(struct parser *parser, const char *p)
             return NULL;
         p = after;
     }
-    if (__builtin_expect(parser->not_finite != 0, 0)) {
-        position[0] = position[1] = position[2] = NAN;
-        parser->not_finite = 0; /* it is for what follows now */
+    if (__builtin_expect(isnan(position[0] + position[1] + position[2]), 0))
         note_odd(parser, STREAM_NO_POSITION);
-    }
     if (__builtin_expect(!fmt_mesh_line_end(p) || a->has_colors, 0) &&
         !(p = parse_vertex_rest(parser, p)))
         return NULL;
@@ -258,10 +252,10 @@ static const char *parse_texcoord(struct parser *parser, const char *p)
     int given = 0;
     if (!(p = parse_numbers(parser, p, numbers, 3, &given)))
         return NULL;
-    if (given == 0 || parser->not_finite & 3) {
-        numbers[0] = numbers[1] = NAN;
+    if (given == 0)
+        numbers[0] = NAN;
+    if (isnan(numbers[0] + numbers[1]))
         note_odd(parser, STREAM_NO_TEXCOORD);
-    }
     if (!(p = finish_line(parser, p)))
         return NULL;
     memcpy(a->texcoords[*count], numbers, sizeof a->texcoords[0]);
@@ -275,14 +269,14 @@ static const char *parse_normal(struct parser *parser, const char *p)
     uint64_t *count = &a->count[FMT_MESH_NORMAL];
     if (!RESERVE(parser, "OBJ normals", *count, a->normals, a->normal_capacity))
         return NULL;
-    double numbers[4];
+    double numbers[4] = {0};
     int given = 0;
     if (!(p = parse_numbers(parser, p, numbers, 4, &given)))
         return NULL;
-    if (given < 3 || parser->not_finite & 7) {
-        numbers[0] = numbers[1] = numbers[2] = 0.0;
+    if (given < 3)
+        numbers[0] = NAN;
+    if (isnan(numbers[0] + numbers[1] + numbers[2]))
         note_odd(parser, STREAM_NO_NORMAL);
-    }
     if (!(p = finish_line(parser, p)))
         return NULL;
     for (int i = 0; i < 3; i++)
@@ -621,6 +615,7 @@ int fmt_obj_parse_text(struct stream_slot *slot, uint64_t begin, uint64_t size, 
     uint64_t line = 0;
     slot->part.lines = slot->part.carry_out = 0;
     slot->arrays.vertex_bound = 0;
+    slot->finite = true;
     /* Two line ends: the last line may lack its own and even end in a continuation. */
     memset(slot->bytes + begin + size, 0, STREAM_PADDING);
     memset(slot->bytes + begin + size, '\n', 2);
@@ -631,7 +626,6 @@ int fmt_obj_parse_text(struct stream_slot *slot, uint64_t begin, uint64_t size, 
         if (p >= parser.end)
             break;
         line = slot->part.lines;
-        parser.not_finite = 0;
         p = parse_line(&parser, skip_blanks(&parser, p));
     }
     if (parser.vertices > slot->arrays.vertex_bound)

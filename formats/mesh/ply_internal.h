@@ -199,8 +199,8 @@ struct ply_source {
 
 /* What a file has beside what is common to all formats. */
 enum {
-    PLY_BAD_TEXCOORDS = STREAM_FORMAT_ODDITIES, /* lists of texture coordinates that do not fit, or
-                                                   are not finite, by corner */
+    PLY_BAD_TEXCOORDS = STREAM_FORMAT_ODDITIES, /* lists of texture coordinates that do not fit, by
+                                                   corner */
     PLY_CLAMPED_COLORS,
     PLY_LOST_TEXTURES /* faces whose texture the file does not name */
 };

@@ -264,28 +264,17 @@ static bool read_vertex(struct cursor *c, const struct ply_element *element, uin
     return true;
 }
 
-/* Ends a part with this many vertices. What is not finite becomes missing, and is counted. */
+/* Ends a part with this many vertices. */
 static void finish_vertices(const struct cursor *c, const struct ply_element *element,
                             uint64_t count)
 {
-    struct stream_slot *slot = c->slot;
     struct mesh_arrays *a = c->arrays;
     a->count[FMT_MESH_VERTEX] = count;
-    slot->odd[STREAM_NO_POSITION].count = fmt_stream_clear_bad(&a->positions[0][0], count, 3);
-    if (c->source->vertex_normals) {
-        a->count[FMT_MESH_NORMAL] = count;
-        slot->odd[STREAM_NO_NORMAL].count += fmt_stream_replace_bad(a->normals, count, 0.0f);
-    }
-    if (c->source->vertex_texcoords) {
-        a->count[FMT_MESH_TEXCOORD] = count;
-        slot->odd[STREAM_NO_TEXCOORD].count = fmt_stream_clear_bad(&a->texcoords[0][0], count, 2);
-    }
-    if (element->role[PLY_RED]) {
-        a->has_colors = true;
-        slot->color_white = ply_is_real(element->role[PLY_RED]->type) ? 0.0f : 255.0f;
-        if (slot->color_white == 0.0f)
-            slot->odd[STREAM_NO_COLOR].count += fmt_stream_replace_bad(a->colors, count, -1.0f);
-    }
+    a->count[FMT_MESH_NORMAL] = c->source->vertex_normals ? count : 0;
+    a->count[FMT_MESH_TEXCOORD] = c->source->vertex_texcoords ? count : 0;
+    a->has_colors = element->role[PLY_RED] != NULL;
+    if (a->has_colors)
+        c->slot->color_white = ply_is_real(element->role[PLY_RED]->type) ? 0.0f : 255.0f;
 }
 
 /* ---- faces ---- */
@@ -388,8 +377,8 @@ static bool read_material(struct cursor *c, const struct ply_property *p, struct
     return true;
 }
 
-/* Numbers the texture coordinates of a face's corners. If a list does not fit the face, or has
- * numbers that are not finite, corners go without. */
+/* Numbers the texture coordinates of a face's corners. If a list does not fit the face, corners go
+ * without. */
 static void finish_texcoords(struct stream_slot *slot, const struct face *face)
 {
     struct mesh_arrays *a = &slot->arrays;
@@ -399,15 +388,8 @@ static void finish_texcoords(struct stream_slot *slot, const struct face *face)
     a->has_corners[FMT_MESH_TEXCOORD] = true;
     if (!fits && face->texcoords > 0)
         slot->odd[PLY_BAD_TEXCOORDS].count += face->size;
-    for (uint64_t i = 0; i < face->size; i++) {
-        const bool finite =
-            fits && isfinite(a->texcoords[base + i][0]) && isfinite(a->texcoords[base + i][1]);
-        corners[i] = finite ? base + i : FMT_MESH_NONE;
-        if (!fits || finite)
-            continue;
-        slot->odd[PLY_BAD_TEXCOORDS].count++;
-        a->texcoords[base + i][0] = a->texcoords[base + i][1] = 0.0;
-    }
+    for (uint64_t i = 0; i < face->size; i++)
+        corners[i] = fits ? base + i : FMT_MESH_NONE;
     a->count[FMT_MESH_TEXCOORD] += fits ? face->size : 0;
 }
 

@@ -529,16 +529,15 @@ const struct fmt_mesh_format fmt_ply_format = {
     .name = "PLY",
     .suffix = ".ply",
     .data_bytes = sizeof(struct ply_source),
-    .oddities =
-        {[STREAM_NO_POSITION] = "positions are not finite or incomplete and were left out",
-         [STREAM_NO_NORMAL] = "normals are not finite or incomplete and were left out",
-         [STREAM_NO_COLOR] = "colours are not finite or incomplete and were left out",
-         [STREAM_NO_TEXCOORD] =
-             "texture coordinates are not finite or incomplete and were left out",
-         [PLY_BAD_TEXCOORDS] =
-             "texture coordinates of corners are not finite or incomplete and were left out",
-         [PLY_CLAMPED_COLORS] = clamped_colors,
-         [PLY_LOST_TEXTURES] = lost_textures},
+    .oddities = {[STREAM_NO_POSITION] = "positions are not finite or incomplete and were left out",
+                 [STREAM_NO_NORMAL] = "normals are not finite or incomplete and were left out",
+                 [STREAM_NO_COLOR] = "colours are not finite or incomplete and were left out",
+                 [STREAM_NO_TEXCOORD] =
+                     "texture coordinates are not finite or incomplete and were left out",
+                 [PLY_BAD_TEXCOORDS] =
+                     "texture coordinates of corners are incomplete and were left out",
+                 [PLY_CLAMPED_COLORS] = clamped_colors,
+                 [PLY_LOST_TEXTURES] = lost_textures},
     .recognise = recognise,
     .begin = begin,
     .end = end,

@@ -185,17 +185,12 @@ static int copy_vertices(struct stream_slot *slot, uint64_t first, uint64_t coun
     memcpy(a->normals, s->normals + first, count * sizeof *a->normals);
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         a->count[kind] = count;
-    slot->odd[STREAM_NO_POSITION].count = fmt_stream_clear_bad(&a->positions[0][0], count, 3);
-    slot->odd[STREAM_NO_TEXCOORD].count = fmt_stream_clear_bad(&a->texcoords[0][0], count, 2);
-    slot->odd[STREAM_NO_NORMAL].count = fmt_stream_replace_bad(a->normals, count, 0.0f);
     if (!s->head->has_colors)
         return 0;
     BSQ_TRY(FMT_RESERVE(slot->ctx, count, a->colors, a->color_capacity));
     memcpy(a->colors, s->colors + first, count * sizeof *a->colors);
     a->has_colors = true;
     slot->color_white = 1;
-    const uint64_t bad = fmt_stream_replace_bad(a->colors, count, -1.0f);
-    slot->odd[STREAM_NO_COLOR].count = slot->source->reader->uses_colors ? bad : 0;
 done:
     return status;
 }
@@ -259,6 +254,8 @@ static int pass(struct stream_slot *slot)
     totals->split_vertices = true;
     if (slot->part.kind == 0)
         totals->short_faces += s->head->short_faces;
+    if (!slot->source->reader->uses_colors)
+        slot->odd[STREAM_NO_COLOR].count = 0;
     return 0;
 }
 

@@ -204,8 +204,8 @@ static bool is_same(const struct mesh_arrays *a, uint64_t vertex, const double p
     /* NOLINTEND(bugprone-suspicious-memory-comparison) */
 }
 
-/* Returns the number, in the part, of the vertex at this position; adds it if it is new. position:
- * finite, or all NAN. color: NULL unless slot->arrays.has_colors. */
+/* Returns the number, in the part, of the vertex at this position; adds it if it is new. color:
+ * NULL unless slot->arrays.has_colors. */
 static uint64_t weld_vertex(struct stream_slot *slot, const double position[3], const float *color)
 {
     struct weld *weld = (struct weld *)(void *)slot->work;
@@ -217,7 +217,6 @@ static uint64_t weld_vertex(struct stream_slot *slot, const double position[3], 
         i = (i + 1) & weld->mask;
     }
     const uint64_t vertex = a->count[FMT_MESH_VERTEX]++;
-    slot->odd[STREAM_NO_POSITION].count += isnan(position[0]);
     if (weld->slots[i] == 0)
         weld->slots[i] = (uint32_t)vertex + 1;
     memcpy(a->positions[vertex], position, sizeof a->positions[vertex]);
@@ -280,30 +279,19 @@ static bool any_color(const struct stl_source *file, const struct stream_slot *s
     return false;
 }
 
-/* Reads a corner of a triangle. All numbers become NaN if one is not finite. */
-static void read_corner(const uint8_t *from, double position[3])
-{
-    float values[3], poison = 0.0f;
-    memcpy(values, from, sizeof values);
-    for (int i = 0; i < 3; i++) {
-        poison += values[i] * 0.0f;
-        position[i] = (double)values[i];
-    }
-    if (poison != 0.0f)
-        position[0] = position[1] = position[2] = NAN;
-}
-
 /* Adds triangle number `i` of the part. Returns false if parsing must stop. */
 static bool add_triangle(const struct stl_source *file, struct stream_slot *slot, uint64_t i)
 {
     struct mesh_arrays *a = &slot->arrays;
     const uint8_t *triangle = slot->bytes + i * STL_TRIANGLE_BYTES;
     double position[3];
-    float color[3];
+    float color[3], corner[3];
     decode_color(file, triangle, color);
     slot->at = slot->part.offset + i * STL_TRIANGLE_BYTES;
     for (uint64_t k = 0; k < 3; k++) {
-        read_corner(triangle + 12 * (k + 1), position);
+        memcpy(corner, triangle + 12 * (k + 1), sizeof corner);
+        for (int c = 0; c < 3; c++)
+            position[c] = (double)corner[c];
         a->corners[FMT_MESH_VERTEX][3 * i + k] =
             weld_vertex(slot, position, a->has_colors ? color : NULL);
     }
@@ -440,8 +428,6 @@ static bool read_vertex(struct text *t)
             return fail_word(t, "a number");
         t->at = after;
     }
-    if (isnan(position[0] + position[1] + position[2]))
-        position[0] = position[1] = position[2] = NAN;
     const uint64_t corner = a->corner_count + t->size;
     t->status = FMT_RESERVE(t->ctx, corner + 1, a->corners[FMT_MESH_VERTEX],
                             a->corner_capacity[FMT_MESH_VERTEX]);

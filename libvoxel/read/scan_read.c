@@ -131,36 +131,21 @@ static void choose_origin(struct scan *scan, const struct fmt_mesh_batch *batch)
     scan->origin_known = true;
 }
 
-static int fail_vertex(const struct scan *scan, const struct fmt_mesh_batch *batch)
+/* Makes missing positions the origin, which no face uses. The others must be within float32. */
+static int check_positions(const struct scan *scan, const struct fmt_mesh_batch *batch,
+                           uint64_t first, uint64_t count, float (*positions)[3])
 {
-    for (uint64_t v = 0; v < batch->vertex_count; v++)
-        for (int axis = 0; axis < 3; axis++) {
-            double p = batch->positions[v][axis];
-            if (fabs(p - scan->origin[axis]) > FLT_MAX)
-                return bsq_fail(
-                    scan->ctx, BSQ_EDATA, "%s: vertex %llu of the scan: coordinate %g is too large",
-                    scan->paths[batch->file], (unsigned long long)(batch->vertex_base + v + 1), p);
-        }
-    return BSQ_EBUG;
-}
-
-/* Converts positions as convert_positions() does, but some may be missing. Missing ones become
- * the origin, which no face uses, and do not count for the bounds. Returns whether all others are
- * within float32. */
-static bool convert_present(const double (*from)[3], uint64_t count, const double origin[3],
-                            float low[3], float high[3], float (*to)[3])
-{
-    float poison = 0.0f;
+    const double(*from)[3] = batch->positions + (first - batch->vertex_base);
     for (uint64_t v = 0; v < count; v++)
         for (int axis = 0; axis < 3; axis++) {
-            const bool missing = isnan(from[v][axis]);
-            const float p = missing ? 0.0f : (float)(from[v][axis] - origin[axis]) + 0.0f;
-            poison += p * 0.0f;
-            low[axis] = !missing && p < low[axis] ? p : low[axis];
-            high[axis] = !missing && p > high[axis] ? p : high[axis];
-            to[v][axis] = p;
+            const double p = from[v][axis];
+            if (fabs(p - scan->origin[axis]) > FLT_MAX)
+                return bsq_fail(scan->ctx, BSQ_EDATA,
+                                "%s: vertex %llu of the scan: coordinate %g is too large",
+                                scan->paths[batch->file], (unsigned long long)(first + v + 1), p);
+            positions[v][axis] = isnan(p) ? 0.0f : positions[v][axis];
         }
-    return poison == 0.0f;
+    return 0;
 }
 
 static int convert_positions(struct scan *scan, const struct fmt_mesh_batch *batch, uint64_t first,
@@ -171,11 +156,10 @@ static int convert_positions(struct scan *scan, const struct fmt_mesh_batch *bat
     float(*to)[3] = out, low[3], high[3], poison = 0.0f;
     memcpy(low, scan->bounds_min, sizeof low);
     memcpy(high, scan->bounds_max, sizeof high);
-    if (batch->missing_positions > 0 && !convert_present(from, count, o, low, high, to))
-        poison = 1.0f;
-    for (uint64_t v = 0; batch->missing_positions == 0 && v < count; v++)
+    for (uint64_t v = 0; v < count; v++)
         for (int axis = 0; axis < 3; axis++) {
-            /* + 0 makes a negative zero positive, so that equal positions have equal bits. */
+            /* + 0 makes a negative zero positive, so that equal positions have equal bits. Missing
+             * positions, which are NaN, change no bounds. */
             float p = (float)(from[v][axis] - o[axis]) + 0.0f;
             poison += p * 0.0f;
             low[axis] = p < low[axis] ? p : low[axis];
@@ -184,7 +168,7 @@ static int convert_positions(struct scan *scan, const struct fmt_mesh_batch *bat
         }
     memcpy(scan->bounds_min, low, sizeof low);
     memcpy(scan->bounds_max, high, sizeof high);
-    return poison == 0.0f ? 0 : fail_vertex(scan, batch);
+    return poison == 0.0f ? 0 : check_positions(scan, batch, first, count, to);
 }
 
 /* ---- attributes ---- */
@@ -419,25 +403,15 @@ static void mark(struct scan_missing *missing, uint64_t index)
     missing->bits[index / 64] |= (uint64_t)1 << index % 64;
 }
 
-/* Notes which elements of a batch are missing. */
-static int note_missing(struct scan *scan, const struct fmt_mesh_batch *batch)
+/* Notes which of `count` elements of `size` numbers are missing. base: of the first one. */
+static int note_missing(struct scan *scan, enum fmt_mesh_kind kind, const double *elements,
+                        unsigned size, uint64_t count, uint64_t base)
 {
-    struct scan_missing *vertices = &scan->missing[FMT_MESH_VERTEX];
-    struct scan_missing *texcoords = &scan->missing[FMT_MESH_TEXCOORD];
-    int status = 0;
-    if (batch->missing_positions > 0)
-        status = extend(scan->ctx, vertices, batch->vertex_base + batch->vertex_count);
-    if (status == 0 && batch->missing_texcoords > 0)
-        status = extend(scan->ctx, texcoords, batch->texcoord_base + batch->texcoord_count);
-    if (status < 0)
-        return status;
-    for (uint64_t i = 0; batch->missing_positions > 0 && i < batch->vertex_count; i++)
-        if (isnan(batch->positions[i][0]))
-            mark(vertices, batch->vertex_base + i);
-    for (uint64_t i = 0; batch->missing_texcoords > 0 && i < batch->texcoord_count; i++)
-        if (isnan(batch->texcoords[i][0]))
-            mark(texcoords, batch->texcoord_base + i);
-    return 0;
+    int status = extend(scan->ctx, &scan->missing[kind], base + count);
+    for (uint64_t i = 0; !status && i < count; i++)
+        if (isnan(elements[i * size]))
+            mark(&scan->missing[kind], base + i);
+    return status;
 }
 
 static bool is_colored(const struct fmt_mesh_batch *batch, uint64_t vertex)
@@ -489,9 +463,8 @@ static int add_vertices(struct scan *scan, const struct fmt_mesh_batch *batch)
         choose_origin(scan, batch);
     scan->has_colors |= batch->colors != NULL;
     BSQ_TRY(append(scan, batch, SCAN_POSITIONS, end, convert_positions));
-    if (batch->missing_positions == 0)
-        scan->merged_vertices +=
-            vox_precision_count_merged(batch->positions, batch->vertex_count, scan->origin);
+    scan->merged_vertices +=
+        vox_precision_count_merged(batch->positions, batch->vertex_count, scan->origin);
     if (!scan->has_colors)
         return 0;
     BSQ_TRY(note_missing_colors(scan, batch));
@@ -529,7 +502,12 @@ int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_batch *batch)
     const uint64_t texcoords = batch->texcoord_base + batch->texcoord_count;
     const uint64_t normals = batch->normal_base + batch->normal_count;
     int status;
-    BSQ_TRY(note_missing(scan, batch));
+    if (batch->missing_positions > 0)
+        BSQ_TRY(note_missing(scan, FMT_MESH_VERTEX, batch->positions[0], 3, batch->vertex_count,
+                             batch->vertex_base));
+    if (batch->missing_texcoords > 0)
+        BSQ_TRY(note_missing(scan, FMT_MESH_TEXCOORD, batch->texcoords[0], 2, batch->texcoord_count,
+                             batch->texcoord_base));
     if (batch->vertex_count > 0)
         BSQ_TRY(add_vertices(scan, batch));
     BSQ_TRY(append(scan, batch, SCAN_TEXCOORDS, texcoords, convert_texcoords));
