@@ -186,7 +186,7 @@ int fmt_gltf_read_view(const struct gltf_item *item, struct gltf_source *source,
     struct gltf_view *out = element;
     const json_t *meshopt = fmt_gltf_extension(item->object, "EXT_meshopt_compression");
     uint64_t size = GLTF_REQUIRED, offset = 0, stride = 0;
-    *out = (struct gltf_view){.buffer = GLTF_NONE, .decoded = GLTF_NOT_DECODED};
+    *out = (struct gltf_view){.buffer = GLTF_NONE};
     int status;
     BSQ_TRY(fmt_gltf_index(item, item->object, "buffer", "buffers", &out->buffer));
     BSQ_TRY(fmt_gltf_number(item, item->object, "byteLength", INT64_MAX / 4, &size));
@@ -240,21 +240,19 @@ void fmt_gltf_free_buffers(struct bsq_ctx *ctx, struct gltf_source *source)
         bsq_file_close(ctx, &source->buffers[i].file);
         bsq_free(ctx, source->buffers[i].path);
     }
-    bsq_file_close(ctx, &source->decoded);
+    bsq_file_close(ctx, &source->decoded.file);
     bsq_free(ctx, source->buffers);
     bsq_free(ctx, source->views);
     bsq_free(ctx, source->packed);
 }
 
-int fmt_gltf_read_bytes(struct bsq_ctx *ctx, const struct gltf_source *source, uint32_t view,
+int fmt_gltf_read_bytes(struct bsq_ctx *ctx, const struct gltf_source *source, uint32_t buffer,
                         uint64_t offset, void *to, uint64_t size)
 {
-    const struct gltf_view *from = &source->views[view];
-    if (from->decoded != GLTF_NOT_DECODED)
-        return bsq_file_read(ctx, &source->decoded, to, size, from->decoded + offset);
-    const struct gltf_buffer *buffer = &source->buffers[from->buffer];
-    return bsq_extent_read(ctx, buffer->path ? &buffer->file : &source->own, &buffer->extent, to,
-                           size, from->offset + offset);
+    const struct gltf_buffer *from =
+        buffer == GLTF_NONE ? &source->decoded : &source->buffers[buffer];
+    return bsq_extent_read(ctx, from->file.fd >= 0 ? &from->file : &source->own, &from->extent, to,
+                           size, offset);
 }
 
 /* ---- accessors: elements of all types ---- */
@@ -416,6 +414,7 @@ static int read_elements(struct stream_slot *slot, const struct gltf_accessor *a
                          uint64_t count, double *to)
 {
     const struct gltf_source *source = slot->source->data;
+    const struct gltf_view *view = &source->views[a->view];
     const uint64_t stride = fmt_gltf_stride(source, a);
     const uint64_t element = (uint64_t)a->components * fmt_gltf_component_bytes(a->component);
     if (count == 0)
@@ -423,8 +422,8 @@ static int read_elements(struct stream_slot *slot, const struct gltf_accessor *a
     const uint64_t size = (count - 1) * stride + element;
     int status;
     BSQ_TRY(fmt_stream_reserve(slot, size));
-    BSQ_TRY(fmt_gltf_read_bytes(slot->ctx, source, a->view, a->offset + first * stride, slot->bytes,
-                                size));
+    BSQ_TRY(fmt_gltf_read_bytes(slot->ctx, source, view->buffer,
+                                view->offset + a->offset + first * stride, slot->bytes, size));
     convert(slot->bytes, stride, a->component, a->components, count, to);
 done:
     return status;

@@ -86,12 +86,10 @@ struct gltf_buffer {
 };
 
 struct gltf_view {
-    uint32_t buffer;
+    uint32_t buffer;       /* GLTF_NONE: gltf_source.decoded */
     uint64_t offset, size; /* in the buffer */
     uint32_t stride;       /* 0: elements follow each other */
-    uint64_t decoded;      /* of compressed data: place in gltf_source.decoded */
 };
-#define GLTF_NOT_DECODED UINT64_MAX
 
 /* The codes of the file format. */
 enum gltf_component {
@@ -113,11 +111,14 @@ struct gltf_accessor {
 
 /* ---- meshes and materials ---- */
 
+/* What primitives use accessors for: attributes of vertices, and the list of indices. */
+enum gltf_use { GLTF_POSITION, GLTF_NORMAL, GLTF_TEXCOORD, GLTF_COLOR, GLTF_INDEX, GLTF_USE_COUNT };
+
 struct gltf_primitive {
-    uint32_t mode;                                     /* 4 triangles, 5 strip, 6 fan */
-    uint32_t position, normal, texcoord, color, index; /* accessors, or GLTF_NONE */
-    uint32_t material;                                 /* or GLTF_NONE */
-    uint32_t mesh, number;                             /* for messages */
+    uint32_t mode;                      /* 4 triangles, 5 strip, 6 fan */
+    uint32_t accessors[GLTF_USE_COUNT]; /* or GLTF_NONE */
+    uint32_t material;                  /* or GLTF_NONE */
+    uint32_t mesh, number;              /* for messages */
     uint64_t triangles;
     uint64_t base[FMT_MESH_KIND_COUNT]; /* elements of earlier primitives of the mesh */
 };
@@ -163,8 +164,7 @@ struct gltf_source {
     struct gltf_packed *packed;
     uint64_t view_capacity, packed_capacity;
     uint32_t packed_count;
-    uint64_t decoded_bytes;
-    struct bsq_file decoded; /* temporary: what the compressed parts are, one after the other */
+    struct gltf_buffer decoded; /* temporary: what the compressed parts are, one after the other */
     struct gltf_accessor *accessors;
     struct gltf_primitive *primitives;
     struct gltf_mesh *meshes;
@@ -198,8 +198,8 @@ int fmt_gltf_uri_path(struct bsq_ctx *ctx, const char *beside, const char *uri, 
 /* Finds out how many bytes base64 text stands for: `size` characters from `offset` in the file. */
 int fmt_gltf_measure_data(const struct gltf_item *item, uint64_t offset, uint64_t size,
                           uint64_t *out);
-/* Reads bytes of a view. Thread-safe. */
-int fmt_gltf_read_bytes(struct bsq_ctx *ctx, const struct gltf_source *source, uint32_t view,
+/* Reads bytes of a buffer; GLTF_NONE: gltf_source.decoded. Thread-safe. */
+int fmt_gltf_read_bytes(struct bsq_ctx *ctx, const struct gltf_source *source, uint32_t buffer,
                         uint64_t offset, void *to, uint64_t size);
 
 /* ---- gltf_packed.c ---- */
@@ -208,9 +208,10 @@ int fmt_gltf_read_bytes(struct bsq_ctx *ctx, const struct gltf_source *source, u
 int fmt_gltf_read_packed_view(const struct gltf_item *item, struct gltf_source *source,
                               const json_t *object, struct gltf_view *view);
 /* Reads KHR_draco_mesh_compression of a primitive, whose accessors are known. They get views.
- * texcoord: name of the attribute. */
+ * keys: names of the attributes. */
 int fmt_gltf_read_draco(const struct gltf_item *item, struct gltf_source *source,
-                        const json_t *object, const char *texcoord, struct gltf_primitive *p);
+                        const json_t *object, const char *const keys[GLTF_USE_COUNT],
+                        struct gltf_primitive *p);
 /* Decompresses everything to a temporary file, unless that is done. */
 int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source);
 
@@ -225,6 +226,13 @@ int fmt_gltf_check_used(const struct gltf_item *item, const struct gltf_source *
  * *out lies in slot->work until the next call. */
 int fmt_gltf_decode(struct stream_slot *slot, uint32_t accessor, uint64_t first, uint64_t count,
                     const double **out);
+/* Returns the accessor that a primitive uses for something, or NULL. */
+static inline struct gltf_accessor *gltf_accessor_of(const struct gltf_source *source,
+                                                     const struct gltf_primitive *p,
+                                                     enum gltf_use use)
+{
+    return p->accessors[use] == GLTF_NONE ? NULL : &source->accessors[p->accessors[use]];
+}
 /* Returns the bytes from one element of an accessor to the next. */
 uint64_t fmt_gltf_stride(const struct gltf_source *source, const struct gltf_accessor *accessor);
 

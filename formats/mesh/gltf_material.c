@@ -41,7 +41,7 @@ static int find_image(const struct gltf_item *item, struct gltf_source *source, 
     int status = fmt_gltf_index(item, item->object, "bufferView", "bufferViews", &view);
     if (status)
         return status;
-    if (view != GLTF_NONE && source->views[view].decoded != GLTF_NOT_DECODED)
+    if (view != GLTF_NONE && source->views[view].buffer == GLTF_NONE)
         return fmt_gltf_fail(item, "an image in a compressed view");
     if (view != GLTF_NONE) {
         const char *path = part_of_view(d, source, view, &extent);

@@ -58,9 +58,9 @@ static int read_modes(const struct gltf_item *item, const json_t *object, struct
 static int add_decoded(const struct gltf_item *item, struct gltf_source *source, uint64_t bytes,
                        uint64_t *out)
 {
-    *out = source->decoded_bytes;
-    if (__builtin_add_overflow(source->decoded_bytes, bytes, &source->decoded_bytes) ||
-        source->decoded_bytes > INT64_MAX)
+    uint64_t *size = &source->decoded.extent.size;
+    *out = *size;
+    if (__builtin_add_overflow(*size, bytes, size) || *size > INT64_MAX)
         return fmt_gltf_fail(item, "too many bytes");
     return 0;
 }
@@ -105,7 +105,8 @@ int fmt_gltf_read_packed_view(const struct gltf_item *item, struct gltf_source *
                                : source->buffers[packed.buffer].extent.size;
     if (packed.offset > bytes || meshopt->size > bytes - packed.offset)
         return fmt_gltf_fail(item, "its compressed bytes are outside of their buffer");
-    BSQ_TRY(add_decoded(item, source, packed.bytes, &view->decoded));
+    view->buffer = GLTF_NONE;
+    BSQ_TRY(add_decoded(item, source, packed.bytes, &view->offset));
     status = add_packed(item, source, &packed);
 done:
     return status;
@@ -142,7 +143,7 @@ static int add_view(const struct gltf_item *item, struct gltf_source *source, ui
         status = bsq_grow(item->document->ctx, "glTF views", (uint64_t)source->view_count + 1,
                           sizeof *source->views, &source->views, &source->view_capacity);
     if (!status)
-        status = add_decoded(item, source, view.size, &view.decoded);
+        status = add_decoded(item, source, view.size, &view.offset);
     if (status)
         return status;
     accessor->view = source->view_count;
@@ -156,22 +157,20 @@ static int add_output(const struct gltf_item *item, struct gltf_source *source, 
                       const json_t *attributes, const char *key, struct gltf_packed *packed)
 {
     struct gltf_draco *mesh = &packed->draco;
+    struct gltf_accessor *a = &source->accessors[accessor];
     uint64_t id = GLTF_REQUIRED;
-    if (accessor == GLTF_NONE || source->accessors[accessor].view != GLTF_NONE)
-        return 0;
-    if (key && !json_object_get(attributes, key))
+    if (accessor == GLTF_NONE || a->view != GLTF_NONE || (key && !json_object_get(attributes, key)))
         return 0;
     int status = key ? fmt_gltf_number(item, attributes, key, UINT32_MAX, &id) : 0;
     if (status)
         return status;
-    const struct gltf_accessor *a = &source->accessors[accessor];
+    if (!key)
+        a->component = GLTF_UINT32;
     mesh->outputs[mesh->output_count++] =
         (struct gltf_draco_output){.indices = !key,
                                    .id = key ? (uint32_t)id : 0,
                                    .components = a->components,
-                                   .type = key ? (uint32_t)a->component : GLTF_UINT32};
-    if (!key)
-        source->accessors[accessor].component = GLTF_UINT32;
+                                   .type = (uint32_t)a->component};
     const uint32_t each = fmt_gltf_component_bytes(a->component);
     packed->sizes[mesh->output_count - 1] = a->count * a->components * each;
     packed->bytes += a->count * a->components * each;
@@ -179,42 +178,34 @@ static int add_output(const struct gltf_item *item, struct gltf_source *source, 
 }
 
 int fmt_gltf_read_draco(const struct gltf_item *item, struct gltf_source *source,
-                        const json_t *object, const char *texcoord, struct gltf_primitive *p)
+                        const json_t *object, const char *const keys[GLTF_USE_COUNT],
+                        struct gltf_primitive *p)
 {
     const json_t *draco = fmt_gltf_extension(object, "KHR_draco_mesh_compression");
     const json_t *attributes = json_object_get(draco, "attributes");
+    const struct gltf_accessor *positions = gltf_accessor_of(source, p, GLTF_POSITION);
+    const struct gltf_accessor *indices = gltf_accessor_of(source, p, GLTF_INDEX);
     struct gltf_packed packed = {.is_draco = true, .number = p->mesh};
     uint32_t view;
-    if (!draco || p->position == GLTF_NONE || p->index == GLTF_NONE)
+    int status;
+    if (!draco || !positions || !indices)
         return 0;
-    int status = fmt_gltf_index(item, draco, "bufferView", "bufferViews", &view);
-    if (!status && (view == GLTF_NONE || source->views[view].decoded != GLTF_NOT_DECODED))
-        status = fmt_gltf_fail(item, "a compressed mesh without bufferView");
-    const struct {
-        uint32_t accessor;
-        const char *key;
-    } parts[] = {{p->index, NULL},
-                 {p->position, "POSITION"},
-                 {p->normal, "NORMAL"},
-                 {p->texcoord, texcoord},
-                 {p->color, "COLOR_0"}};
-    packed.draco.points = source->accessors[p->position].count;
-    packed.draco.faces = source->accessors[p->index].count / 3;
-    if (!status) {
-        packed.draco.size = source->views[view].size;
-        status = check_counts(item, &packed.draco);
-    }
-    for (int i = 0; i < 5 && !status; i++)
-        status = add_output(item, source, parts[i].accessor, attributes, parts[i].key, &packed);
-    if (status)
-        return status;
-    if (source->views[source->accessors[p->index].view].decoded != GLTF_NOT_DECODED)
+    BSQ_TRY(fmt_gltf_index(item, draco, "bufferView", "bufferViews", &view));
+    if (view == GLTF_NONE || source->views[view].buffer == GLTF_NONE)
+        return fmt_gltf_fail(item, "a compressed mesh without bufferView");
+    packed.draco.points = positions->count;
+    packed.draco.faces = indices->count / 3;
+    packed.draco.size = source->views[view].size;
+    BSQ_TRY(check_counts(item, &packed.draco));
+    for (int use = 0; use < GLTF_USE_COUNT; use++)
+        BSQ_TRY(add_output(item, source, p->accessors[use], attributes, keys[use], &packed));
+    if (source->views[indices->view].buffer == GLTF_NONE)
         p->mode = 4; /* strips too are compressed as single triangles */
-    if (packed.draco.output_count == 0)
-        return 0;
     packed.buffer = source->views[view].buffer;
     packed.offset = source->views[view].offset;
-    return add_packed(item, source, &packed);
+    status = packed.draco.output_count > 0 ? add_packed(item, source, &packed) : 0;
+done:
+    return status;
 }
 
 /* ---- decoding ---- */
@@ -234,8 +225,6 @@ enum { LEAST_SECONDS = 20, BYTES_A_SECOND = 1 << 20 };
 static int add_task(struct bsq_ctx *ctx, const struct gltf_source *source,
                     const struct gltf_packed *packed, struct bsq_file *input)
 {
-    const struct gltf_buffer *buffer = &source->buffers[packed->buffer];
-    const struct bsq_file *file = buffer->path ? &buffer->file : &source->own;
     const uint64_t size = packed->is_draco ? packed->draco.size : packed->meshopt.size;
     uint8_t *bytes = NULL;
     int status;
@@ -243,7 +232,7 @@ static int add_task(struct bsq_ctx *ctx, const struct gltf_source *source,
                         packed->bytes + (packed->is_draco ? draco_bytes(packed) : 0)));
     bsq_release(ctx, packed->bytes + (packed->is_draco ? draco_bytes(packed) : 0));
     BSQ_TRY(bsq_alloc(ctx, "a compressed part of a glTF file", size, 1, &bytes));
-    BSQ_TRY(bsq_extent_read(ctx, file, &buffer->extent, bytes, size, packed->offset));
+    BSQ_TRY(fmt_gltf_read_bytes(ctx, source, packed->buffer, packed->offset, bytes, size));
     BSQ_TRY(bsq_file_append(ctx, input, packed, sizeof *packed));
     BSQ_TRY(bsq_file_append(ctx, input, bytes, size));
 done:
@@ -254,30 +243,31 @@ done:
 int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source)
 {
     struct bsq_file input = BSQ_FILE_CLOSED;
+    struct bsq_file *decoded = &source->decoded.file;
+    const uint64_t bytes = source->decoded.extent.size;
     struct gltf_stamp stamp = {{0}};
     const struct fmt_converter how = {.program = "bisque-gltf",
                                       .purpose = "compressed glTF files",
                                       .library = "Draco or meshoptimizer",
                                       .path = source->own.path,
-                                      .seconds =
-                                          LEAST_SECONDS + source->decoded_bytes / BYTES_A_SECOND};
+                                      .seconds = LEAST_SECONDS + bytes / BYTES_A_SECOND};
     char program[PATH_MAX];
-    if (source->packed_count == 0 || source->decoded.fd >= 0)
+    if (source->packed_count == 0 || decoded->fd >= 0)
         return 0;
     int status;
-    BSQ_TRY(bsq_require_disk(ctx, NULL, source->decoded_bytes));
+    BSQ_TRY(bsq_require_disk(ctx, NULL, bytes));
     BSQ_TRY(bsq_file_temp(ctx, NULL, "a compressed glTF file", &input));
-    BSQ_TRY(bsq_file_temp(ctx, NULL, "a decompressed glTF file", &source->decoded));
+    BSQ_TRY(bsq_file_temp(ctx, NULL, "a decompressed glTF file", decoded));
     strncpy(stamp.text, fmt_program_stamp, sizeof stamp.text - 1);
     BSQ_TRY(bsq_file_append(ctx, &input, &stamp, sizeof stamp));
     for (uint32_t i = 0; i < source->packed_count; i++)
         BSQ_TRY(add_task(ctx, source, &source->packed[i], &input));
-    BSQ_TRY(fmt_program_convert(ctx, &how, input.fd, &source->decoded, program));
-    if (source->decoded.size != source->decoded_bytes)
+    BSQ_TRY(fmt_program_convert(ctx, &how, input.fd, decoded, program));
+    if (decoded->size != bytes)
         status = bsq_fail(ctx, BSQ_ENOINPUT, "%s: %s does not work", source->own.path, program);
 done:
     bsq_file_close(ctx, &input);
     if (status)
-        bsq_file_close(ctx, &source->decoded);
+        bsq_file_close(ctx, decoded);
     return status;
 }

@@ -70,7 +70,7 @@ static int begin(struct stream_source *source)
 {
     struct gltf_source *file = source->data;
     struct gltf_document document;
-    file->own = file->decoded = (struct bsq_file)BSQ_FILE_CLOSED;
+    file->own = file->decoded.file = (struct bsq_file)BSQ_FILE_CLOSED;
     int status = fmt_input_open(source->input);
     if (status)
         return status;
@@ -111,7 +111,8 @@ enum { GLTF_VERTICES, GLTF_FACES };
 static uint64_t count_items(const struct gltf_source *source, const struct stream_part *part)
 {
     const struct gltf_primitive *p = &source->primitives[part->carry];
-    return part->carry_out == GLTF_FACES ? p->triangles : source->accessors[p->position].count;
+    return part->carry_out == GLTF_FACES ? p->triangles
+                                         : gltf_accessor_of(source, p, GLTF_POSITION)->count;
 }
 
 /* Goes on to the next primitive, placement or kind of elements. Returns false at the end. */
@@ -134,14 +135,12 @@ static bool advance(const struct gltf_source *source, struct stream_part *part)
 static uint64_t usual_items(const struct gltf_source *source, const struct stream_part *part)
 {
     const struct gltf_primitive *p = &source->primitives[part->carry];
-    const uint32_t accessors[] = {p->position, p->normal, p->texcoord, p->color};
     uint64_t bytes = 32;
     if (part->carry_out == GLTF_FACES)
         return STREAM_PART_BYTES / 24 + 1;
-    for (int i = 0; i < 4; i++) {
-        const uint64_t stride = accessors[i] == GLTF_NONE
-                                    ? 0
-                                    : fmt_gltf_stride(source, &source->accessors[accessors[i]]);
+    for (int use = 0; use < GLTF_INDEX; use++) {
+        const struct gltf_accessor *a = gltf_accessor_of(source, p, (enum gltf_use)use);
+        const uint64_t stride = a ? fmt_gltf_stride(source, a) : 0;
         bytes = stride > bytes ? stride : bytes;
     }
     return STREAM_PART_BYTES / bytes + 1;
@@ -201,9 +200,10 @@ __attribute__((format(printf, 2, 3))) static int fail_primitive(const struct par
                            p->primitive->mesh, p->primitive->number, text);
 }
 
-static int decode(const struct parser *p, uint32_t accessor, const double **out)
+/* Decodes an attribute of the part's vertices. */
+static int decode(const struct parser *p, enum gltf_use use, const double **out)
 {
-    return fmt_gltf_decode(p->slot, accessor, p->first, p->count, out);
+    return fmt_gltf_decode(p->slot, p->primitive->accessors[use], p->first, p->count, out);
 }
 
 /* ---- vertices ---- */
@@ -212,37 +212,25 @@ static int parse_positions(struct parser *p)
 {
     const double(*m)[4] = p->placement->matrix;
     const double *from;
-    int status =
-        FMT_RESERVE(p->slot->ctx, p->count, p->arrays->positions, p->arrays->position_capacity);
-    if (!status)
-        status = decode(p, p->primitive->position, &from);
-    if (status)
-        return status;
-    for (uint64_t i = 0; i < p->count; i++, from += 3)
+    const int status = decode(p, GLTF_POSITION, &from);
+    for (uint64_t i = 0; !status && i < p->count; i++, from += 3)
         for (int k = 0; k < 3; k++)
             p->arrays->positions[i][k] =
                 m[k][0] * from[0] + m[k][1] * from[1] + m[k][2] * from[2] + m[k][3];
-    p->arrays->count[FMT_MESH_VERTEX] = p->count;
-    return 0;
+    return status;
 }
 
 static int parse_normals(struct parser *p)
 {
     const double(*m)[3] = p->placement->normal_matrix;
     const double *from;
-    int status =
-        FMT_RESERVE(p->slot->ctx, p->count, p->arrays->normals, p->arrays->normal_capacity);
-    if (!status)
-        status = decode(p, p->primitive->normal, &from);
-    if (status)
-        return status;
-    for (uint64_t i = 0; i < p->count; i++, from += 3)
+    const int status = decode(p, GLTF_NORMAL, &from);
+    for (uint64_t i = 0; !status && i < p->count; i++, from += 3)
         for (int k = 0; k < 3; k++) {
             const double value = m[k][0] * from[0] + m[k][1] * from[1] + m[k][2] * from[2];
             p->arrays->normals[i][k] = fabs(value) <= 3e38 ? (float)value : NAN;
         }
-    p->arrays->count[FMT_MESH_NORMAL] = p->count;
-    return 0;
+    return status;
 }
 
 /* v of glTF points downwards, v of a batch upwards. */
@@ -254,19 +242,13 @@ static int parse_texcoords(struct parser *p)
                               ? plain
                               : (const double(*)[3])p->source->materials[material].uv_matrix;
     const double *from;
-    int status =
-        FMT_RESERVE(p->slot->ctx, p->count, p->arrays->texcoords, p->arrays->texcoord_capacity);
-    if (!status)
-        status = decode(p, p->primitive->texcoord, &from);
-    if (status)
-        return status;
-    for (uint64_t i = 0; i < p->count; i++, from += 2) {
+    const int status = decode(p, GLTF_TEXCOORD, &from);
+    for (uint64_t i = 0; !status && i < p->count; i++, from += 2) {
         double *to = p->arrays->texcoords[i];
         to[0] = m[0][0] * from[0] + m[0][1] * from[1] + m[0][2];
         to[1] = 1 - (m[1][0] * from[0] + m[1][1] * from[1] + m[1][2]);
     }
-    p->arrays->count[FMT_MESH_TEXCOORD] = p->count;
-    return 0;
+    return status;
 }
 
 /* Returns the sRGB value of linear light. One out of range stays so, for callers that count them;
@@ -283,32 +265,47 @@ static float display_color(double linear)
 static int parse_colors(struct parser *p)
 {
     static const double white[3] = {1, 1, 1};
-    const uint32_t material = p->primitive->material, accessor = p->primitive->color;
+    const struct gltf_accessor *own = gltf_accessor_of(p->source, p->primitive, GLTF_COLOR);
+    const uint32_t material = p->primitive->material, step = own ? own->components : 0;
     const double *factor = material == GLTF_NONE ? white : p->source->materials[material].color;
     const double *from = white;
-    const uint32_t step = accessor == GLTF_NONE ? 0 : p->source->accessors[accessor].components;
-    int status = FMT_RESERVE(p->slot->ctx, p->count, p->arrays->colors, p->arrays->color_capacity);
-    if (!status && step > 0)
-        status = decode(p, accessor, &from);
-    if (status)
-        return status;
-    for (uint64_t i = 0; i < p->count; i++, from += step)
+    const int status = own ? decode(p, GLTF_COLOR, &from) : 0;
+    for (uint64_t i = 0; !status && i < p->count; i++, from += step)
         for (int k = 0; k < 3; k++)
             p->arrays->colors[i][k] = isfinite(from[k]) ? display_color(from[k] * factor[k]) : NAN;
-    p->arrays->has_colors = true;
     p->slot->color_white = 1;
-    return 0;
+    return status;
+}
+
+static int reserve_vertices(const struct parser *p)
+{
+    struct bsq_ctx *ctx = p->slot->ctx;
+    struct mesh_arrays *a = p->arrays;
+    const uint32_t *accessors = p->primitive->accessors;
+    a->count[FMT_MESH_VERTEX] = p->count;
+    a->count[FMT_MESH_NORMAL] = accessors[GLTF_NORMAL] != GLTF_NONE ? p->count : 0;
+    a->count[FMT_MESH_TEXCOORD] = accessors[GLTF_TEXCOORD] != GLTF_NONE ? p->count : 0;
+    a->has_colors = p->slot->source->reader->gltf_colors;
+    int status;
+    BSQ_TRY(FMT_RESERVE(ctx, p->count, a->positions, a->position_capacity));
+    BSQ_TRY(FMT_RESERVE(ctx, a->count[FMT_MESH_NORMAL], a->normals, a->normal_capacity));
+    BSQ_TRY(FMT_RESERVE(ctx, a->count[FMT_MESH_TEXCOORD], a->texcoords, a->texcoord_capacity));
+    if (a->has_colors)
+        BSQ_TRY(FMT_RESERVE(ctx, p->count, a->colors, a->color_capacity));
+done:
+    return status;
 }
 
 static int parse_vertices(struct parser *p)
 {
     int status;
+    BSQ_TRY(reserve_vertices(p));
     BSQ_TRY(parse_positions(p));
-    if (p->primitive->normal != GLTF_NONE)
+    if (p->arrays->count[FMT_MESH_NORMAL] > 0)
         BSQ_TRY(parse_normals(p));
-    if (p->primitive->texcoord != GLTF_NONE)
+    if (p->arrays->count[FMT_MESH_TEXCOORD] > 0)
         BSQ_TRY(parse_texcoords(p));
-    if (p->slot->source->reader->gltf_colors)
+    if (p->arrays->has_colors)
         BSQ_TRY(parse_colors(p));
 done:
     return status;
@@ -325,19 +322,18 @@ struct window {
 
 static int load_window(const struct parser *p, struct window *w)
 {
-    const struct gltf_primitive *primitive = p->primitive;
+    const uint32_t mode = p->primitive->mode, list = p->primitive->accessors[GLTF_INDEX];
     int status = 0;
     *w = (struct window){.first = p->first, .count = p->count + 2};
-    if (primitive->mode == 4)
+    if (mode == 4)
         *w = (struct window){.first = 3 * p->first, .count = 3 * p->count};
-    if (primitive->index == GLTF_NONE)
+    if (list == GLTF_NONE)
         return 0;
-    if (primitive->mode == 6) {
-        status = fmt_gltf_decode(p->slot, primitive->index, 0, 1, &w->values);
+    if (mode == 6) {
+        status = fmt_gltf_decode(p->slot, list, 0, 1, &w->values);
         w->start = status ? 0 : (uint64_t)w->values[0];
     }
-    return status ? status
-                  : fmt_gltf_decode(p->slot, primitive->index, w->first, w->count, &w->values);
+    return status ? status : fmt_gltf_decode(p->slot, list, w->first, w->count, &w->values);
 }
 
 static uint64_t entry(const struct window *w, uint64_t i)
@@ -380,7 +376,7 @@ static void add_triangle(const struct parser *p, const uint64_t corners[3],
  * connect others; they are left out. */
 static int add_triangles(const struct parser *p, const struct window *w)
 {
-    const uint64_t vertices = p->source->accessors[p->primitive->position].count;
+    const uint64_t vertices = gltf_accessor_of(p->source, p->primitive, GLTF_POSITION)->count;
     uint64_t base[FMT_MESH_KIND_COUNT], v[3];
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         base[kind] = p->placement->base[kind] + p->primitive->base[kind];
@@ -410,8 +406,8 @@ static int reserve_faces(const struct parser *p)
 {
     const bool wanted[FMT_MESH_KIND_COUNT] = {
         [FMT_MESH_VERTEX] = true,
-        [FMT_MESH_TEXCOORD] = p->primitive->texcoord != GLTF_NONE,
-        [FMT_MESH_NORMAL] = p->primitive->normal != GLTF_NONE};
+        [FMT_MESH_TEXCOORD] = p->primitive->accessors[GLTF_TEXCOORD] != GLTF_NONE,
+        [FMT_MESH_NORMAL] = p->primitive->accessors[GLTF_NORMAL] != GLTF_NONE};
     struct mesh_arrays *a = p->arrays;
     int status;
     BSQ_TRY(FMT_RESERVE(p->slot->ctx, p->count, a->face_sizes, a->size_capacity));

@@ -23,49 +23,33 @@ static int add(const struct gltf_item *item, uint64_t *sum, uint64_t value)
     return 0;
 }
 
-/* Reads an attribute, whose elements have `least` to `most` components. */
+/* Reads the accessor of an attribute, whose elements have `least` to `most` components. There must
+ * be one for each position. */
 static int read_attribute(const struct gltf_item *item, const struct gltf_source *source,
-                          const json_t *primitive, const char *key, uint32_t least, uint32_t most,
-                          uint32_t *out)
+                          const json_t *attributes, const char *key, enum gltf_use use,
+                          struct gltf_primitive *p)
 {
-    const json_t *attributes = json_object_get(primitive, "attributes");
-    int status = fmt_gltf_index(item, attributes, key, "accessors", out);
-    if (status || *out == GLTF_NONE)
+    static const uint8_t least[] = {3, 3, 2, 3}, most[] = {3, 3, 2, 4};
+    int status = fmt_gltf_index(item, attributes, key, "accessors", &p->accessors[use]);
+    const struct gltf_accessor *own = gltf_accessor_of(source, p, use);
+    const struct gltf_accessor *positions = gltf_accessor_of(source, p, GLTF_POSITION);
+    if (status || !own)
         return status;
-    const uint32_t components = source->accessors[*out].components;
-    if (components < least || components > most)
+    if (own->components < least[use] || own->components > most[use])
         return fmt_gltf_fail(item, "%s has another number of components", key);
+    if (positions && own->count < positions->count)
+        return fmt_gltf_fail(item, "an attribute has %" PRIu64 " elements, POSITION has %" PRIu64,
+                             own->count, positions->count);
     return 0;
-}
-
-static int read_attributes(const struct gltf_item *item, const struct gltf_source *source,
-                           const json_t *object, const char *texcoord, struct gltf_primitive *out)
-{
-    int status;
-    BSQ_TRY(read_attribute(item, source, object, "POSITION", 3, 3, &out->position));
-    BSQ_TRY(read_attribute(item, source, object, "NORMAL", 3, 3, &out->normal));
-    BSQ_TRY(read_attribute(item, source, object, texcoord, 2, 2, &out->texcoord));
-    BSQ_TRY(read_attribute(item, source, object, "COLOR_0", 3, 4, &out->color));
-    if (out->position == GLTF_NONE)
-        return 0;
-    const uint32_t others[] = {out->normal, out->texcoord, out->color};
-    const uint64_t vertices = source->accessors[out->position].count;
-    for (int i = 0; i < 3; i++)
-        if (others[i] != GLTF_NONE && source->accessors[others[i]].count < vertices)
-            return fmt_gltf_fail(item,
-                                 "an attribute has %" PRIu64 " elements, POSITION has %" PRIu64,
-                                 source->accessors[others[i]].count, vertices);
-done:
-    return status;
 }
 
 static int read_indices(const struct gltf_item *item, struct gltf_source *source,
                         const json_t *object, struct gltf_primitive *out)
 {
-    int status = fmt_gltf_index(item, object, "indices", "accessors", &out->index);
-    if (status || out->index == GLTF_NONE)
+    int status = fmt_gltf_index(item, object, "indices", "accessors", &out->accessors[GLTF_INDEX]);
+    const struct gltf_accessor *a = gltf_accessor_of(source, out, GLTF_INDEX);
+    if (status || !a)
         return status;
-    const struct gltf_accessor *a = &source->accessors[out->index];
     const enum gltf_component type = a->component;
     if (a->components != 1 || a->normalized ||
         (type != GLTF_UINT8 && type != GLTF_UINT16 && type != GLTF_UINT32))
@@ -76,8 +60,8 @@ static int read_indices(const struct gltf_item *item, struct gltf_source *source
 /* Counts the triangles of a primitive, and indices that belong to none. */
 static void count_triangles(struct gltf_source *source, struct gltf_primitive *out)
 {
-    const uint32_t list = out->index != GLTF_NONE ? out->index : out->position;
-    const uint64_t count = source->accessors[list].count;
+    const enum gltf_use list = out->accessors[GLTF_INDEX] != GLTF_NONE ? GLTF_INDEX : GLTF_POSITION;
+    const uint64_t count = gltf_accessor_of(source, out, list)->count;
     if (out->mode == MODE_TRIANGLES) {
         out->triangles = count / 3;
         source->unread.rest += count % 3;
@@ -92,16 +76,18 @@ static int read_accessors(const struct gltf_item *item, struct gltf_source *sour
                           const json_t *object, struct gltf_primitive *out)
 {
     const uint32_t set = out->material == GLTF_NONE ? 0 : source->materials[out->material].texcoord;
+    const json_t *attributes = json_object_get(object, "attributes");
     char texcoord[32];
-    snprintf(texcoord, sizeof texcoord, "TEXCOORD_%" PRIu32, set);
+    const char *const keys[GLTF_USE_COUNT] = {"POSITION", "NORMAL", texcoord, "COLOR_0", NULL};
     int status;
-    BSQ_TRY(read_attributes(item, source, object, texcoord, out));
+    snprintf(texcoord, sizeof texcoord, "TEXCOORD_%" PRIu32, set);
+    for (int use = 0; use < GLTF_INDEX; use++)
+        BSQ_TRY(read_attribute(item, source, attributes, keys[use], (enum gltf_use)use, out));
     BSQ_TRY(read_indices(item, source, object, out));
-    BSQ_TRY(fmt_gltf_read_draco(item, source, object, texcoord, out));
-    const uint32_t all[] = {out->position, out->normal, out->texcoord, out->color, out->index};
-    for (int i = 0; i < 5; i++)
-        if (all[i] != GLTF_NONE)
-            BSQ_TRY(fmt_gltf_check_used(item, source, all[i]));
+    BSQ_TRY(fmt_gltf_read_draco(item, source, object, keys, out));
+    for (int use = 0; use < GLTF_USE_COUNT; use++)
+        if (out->accessors[use] != GLTF_NONE)
+            BSQ_TRY(fmt_gltf_check_used(item, source, out->accessors[use]));
 done:
     return status;
 }
@@ -121,7 +107,7 @@ static bool has_other_colors(const json_t *primitive)
 /* Returns whether the colour of a primitive's material changes its texture. */
 static bool has_texture_factor(const struct gltf_source *source, const struct gltf_primitive *p)
 {
-    if (p->material == GLTF_NONE || p->texcoord == GLTF_NONE)
+    if (p->material == GLTF_NONE || p->accessors[GLTF_TEXCOORD] == GLTF_NONE)
         return false;
     const struct gltf_material *m = &source->materials[p->material];
     return m->described.texture_path && (m->color[0] != 1 || m->color[1] != 1 || m->color[2] != 1);
@@ -142,20 +128,22 @@ static int read_primitive(const struct gltf_item *item, struct gltf_source *sour
         status = fmt_gltf_index(item, object, "material", "materials", &out->material);
     if (!status)
         status = read_accessors(item, source, object, out);
-    source->unread.bare += !status && out->position == GLTF_NONE;
-    if (status || out->position == GLTF_NONE)
+    const struct gltf_accessor *positions = gltf_accessor_of(source, out, GLTF_POSITION);
+    struct gltf_accessor *colors = gltf_accessor_of(source, out, GLTF_COLOR);
+    source->unread.bare += !status && !positions;
+    if (status || !positions)
         return status;
     count_triangles(source, out);
     if (out->triangles == 0)
         return 0;
-    if (source->accessors[out->position].count == 0)
+    if (positions->count == 0)
         return fmt_gltf_fail(item, "it has triangles, but no vertices");
-    if (out->color != GLTF_NONE) /* some programs forget to say so */
-        source->accessors[out->color].normalized = true;
+    if (colors) /* some programs forget to say so */
+        colors->normalized = true;
     source->has_tangents |=
         json_object_get(json_object_get(object, "attributes"), "TANGENT") != NULL;
-    source->has_colors |= out->color != GLTF_NONE || has_texture_factor(source, out);
-    source->unread.other_colors += out->color == GLTF_NONE && has_other_colors(object);
+    source->has_colors |= colors || has_texture_factor(source, out);
+    source->unread.other_colors += !colors && has_other_colors(object);
     source->unread.variants += fmt_gltf_extension(object, "KHR_materials_variants") != NULL;
     return 0;
 }
@@ -164,11 +152,11 @@ static int read_primitive(const struct gltf_item *item, struct gltf_source *sour
 static int add_primitive(const struct gltf_item *item, const struct gltf_source *source,
                          struct gltf_mesh *mesh, struct gltf_primitive *p)
 {
-    const uint64_t vertices = source->accessors[p->position].count;
+    const uint64_t vertices = gltf_accessor_of(source, p, GLTF_POSITION)->count;
     const uint64_t counts[FMT_MESH_KIND_COUNT] = {
         [FMT_MESH_VERTEX] = vertices,
-        [FMT_MESH_TEXCOORD] = p->texcoord != GLTF_NONE ? vertices : 0,
-        [FMT_MESH_NORMAL] = p->normal != GLTF_NONE ? vertices : 0};
+        [FMT_MESH_TEXCOORD] = p->accessors[GLTF_TEXCOORD] != GLTF_NONE ? vertices : 0,
+        [FMT_MESH_NORMAL] = p->accessors[GLTF_NORMAL] != GLTF_NONE ? vertices : 0};
     int status = add(item, &mesh->triangles, p->triangles);
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT && !status; kind++) {
         p->base[kind] = mesh->total[kind];
@@ -186,8 +174,8 @@ int fmt_gltf_read_mesh(const struct gltf_item *item, struct gltf_source *source,
     mesh->first = source->primitive_count;
     for (size_t i = 0; i < json_array_size(list); i++) {
         struct gltf_primitive *p = &source->primitives[source->primitive_count];
-        *p = (struct gltf_primitive){
-            .position = GLTF_NONE, .mesh = (uint32_t)item->index, .number = (uint32_t)i};
+        *p = (struct gltf_primitive){.mesh = (uint32_t)item->index, .number = (uint32_t)i};
+        memset(p->accessors, 0xff, sizeof p->accessors);
         BSQ_TRY(i % 1024 ? 0 : bsq_check(item->document->ctx));
         BSQ_TRY(read_primitive(item, source, json_array_get(list, i), p));
         if (p->triangles > 0) {
