@@ -144,6 +144,20 @@ $(counted): LDFLAGS += $(patsubst %,-Wl$(comma)--wrap=%,bsq_check bsq_progress_b
 $(counted): | $(BUILD)/tests/lib
 $(foreach p,$(programs:bisque-%=%),$(eval $(call program,$(p),tests/bin,$(counted_objs))))
 
+# bisque-voxelize with a mesh reader that was added as formats/mesh/README.md says.
+recipe        := $(BUILD)/obj/recipe
+recipe_header := $(recipe)/formats/mesh/mesh_format.h
+recipe_objs   := $(recipe)/mesh_reader.o $(recipe)/off.o
+$(recipe_header): tests/recipes/registry.awk formats/mesh/README.md formats/mesh/mesh_format.h
+	@mkdir -p $(@D)
+	awk -f $^ >$@
+$(recipe)/mesh_reader.o: formats/mesh/mesh_reader.c
+$(recipe)/off.o: tests/recipes/off.c
+$(recipe_objs): $(recipe_header)
+	$(CC) -I$(recipe) $(CPPFLAGS) $(CFLAGS) -c -o $@ $(filter %.c,$^)
+$(BUILD)/tests/recipe/bisque-voxelize: | $(BUILD)/tests/lib
+$(eval $(call program,voxelize,tests/recipe,$(recipe_objs)))
+
 fuzz_seconds ?= 60
 .PHONY: $(fuzz_names:%=fuzz-%) fuzz-all fuzz-all-build fuzz-merge
 ## fuzz-NAME: fuzz a target of tests/fuzz for fuzz_seconds=60: obj, ply, stl, mtl, tris, nvdb, …
@@ -170,7 +184,8 @@ unit: $(unit_bins) $(fakes)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
 tests-build: all $(examples) $(unit_bins) $(generator) $(checkers) \
-    $(read_files) $(damage_images) $(replays) $(fakes) $(faults) $(counted)
+    $(read_files) $(damage_images) $(replays) $(fakes) $(faults) $(counted) \
+    $(BUILD)/tests/recipe/bisque-voxelize
 
 # The scripts take longest, so they start first.
 ## test: build and run all tests, with the packages that are installed
