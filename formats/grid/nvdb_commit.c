@@ -169,10 +169,8 @@ static int write_section(void *arg, uint64_t number, unsigned worker)
     if (s.at != range->offset + range->size)
         status = bsq_fail(commit->writer->ctx, BSQ_EBUG, "%s: section %d has a wrong size",
                           commit->writer->path, s.number);
-    if (number < NVDB_CHANNELS && (range->size > 0 || !nvdb_is_of_ids(s.number)))
-        commit->trailer.checksum[number] = XXH3_64bits_digest(s.hash);
-    else if (number == NVDB_CHANNELS && range->size > 0)
-        commit->trailer.channels_checksum = XXH3_64bits_digest(s.hash);
+    if (s.number < NVDB_TRAILER && nvdb_has_checksum(commit->trailer.flags, s.number))
+        *nvdb_checksum(&commit->trailer, s.number) = XXH3_64bits_digest(s.hash);
 done:
     XXH3_freeState(s.hash);
     return status;
@@ -185,11 +183,8 @@ static void fill_trailer(const struct fmt_nvdb_writer *writer, struct nvdb_trail
 {
     const struct fmt_nvdb_info *info = &writer->info;
     memcpy(trailer->magic, NVDB_TRAILER_MAGIC, sizeof(trailer->magic));
-    const bool ids = info->ids != BSQ_IDS_NONE;
-    const bool channels = writer->counts.channel_words > 0;
-    trailer->version = (uint32_t)nvdb_trailer_version(ids, channels);
-    trailer->flags = (info->has_color ? NVDB_TRAILER_HAS_COLOR : 0) |
-                     (ids ? NVDB_TRAILER_HAS_IDS : 0) | (channels ? NVDB_TRAILER_HAS_CHANNELS : 0);
+    trailer->flags = writer->counts.flags;
+    trailer->version = nvdb_trailer_version(trailer->flags);
     trailer->name_bytes = writer->counts.name_bytes;
     trailer->source_triangles = info->source_triangles;
     trailer->second_count = writer->counts.seconds;
@@ -203,7 +198,7 @@ static void fill_head(const struct fmt_nvdb_writer *writer, const struct nvdb_la
 {
     fmt_nvdb_fill_fixed(&writer->info, &writer->counts, layout, writer->bbox_min, writer->bbox_max,
                         head);
-    uint64_t child = layout->section[NVDB_UPPERS].offset - layout->root;
+    uint64_t child = layout->section[NVDB_UPPERS].offset - NVDB_ROOT_OFFSET;
     for (uint32_t i = 0; i < writer->counts.uppers; i++) {
         struct nvdb_tile tile = {.key = writer->keys[i], .child = (int64_t)child};
         memcpy(head + layout->tiles + i * (uint64_t)sizeof(tile), &tile, sizeof(tile));

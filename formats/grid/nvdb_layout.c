@@ -17,25 +17,28 @@ enum { TYPE_UNKNOWN = 0, TYPE_UINT32 = 10, TYPE_RGBA8 = 12 };
 enum { SEMANTIC_UNKNOWN = 0, SEMANTIC_COLOR = 2, SEMANTIC_NORMAL = 3 };
 enum { CLASS_CHANNEL_ARRAY = 4 };
 
-const struct fmt_nvdb_channel *fmt_nvdb_channel(enum nvdb_section section)
-{
-    static const struct fmt_nvdb_channel channels[NVDB_SECTION_COUNT] = {
-        [NVDB_HEAD] = {.name = "header"},
-        [NVDB_UPPERS] = {.name = "upper nodes", .what = "grid upper nodes"},
-        [NVDB_LOWERS] = {.name = "lower nodes", .what = "grid lower nodes"},
-        [NVDB_LEAVES] = {.name = "leaf nodes", .what = "grid leaves"},
-        [NVDB_BLIND] = {.name = "blind metadata"},
-        [NVDB_NORMALS] = {"normal", SEMANTIC_NORMAL, TYPE_UINT32, 4, "grid normals"},
-        [NVDB_PLANES] = {"plane", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, "grid planes"},
-        [NVDB_COLORS] = {"color", SEMANTIC_COLOR, TYPE_RGBA8, 4, "grid colours"},
-        [NVDB_SECONDS] = {"second", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, "grid second words"},
-        [NVDB_IDS] = {"id", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, "grid ids"},
-        [NVDB_NAMES] = {.name = "names", .value_bytes = 1},
-        [NVDB_CHANNELS] = {"channels", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, "grid channels"},
-        [NVDB_TRAILER] = {.name = "bisque", .value_bytes = 1},
-    };
-    return &channels[section];
-}
+enum {
+    COLOR = NVDB_TRAILER_HAS_COLOR,
+    IDS = NVDB_TRAILER_HAS_IDS,
+    CHANNELS = NVDB_TRAILER_HAS_CHANNELS
+};
+
+const struct nvdb_row fmt_nvdb_rows[NVDB_SECTION_COUNT] = {
+    [NVDB_HEAD] = {.name = "header"},
+    [NVDB_UPPERS] = {.name = "upper nodes", .what = "grid upper nodes"},
+    [NVDB_LOWERS] = {.name = "lower nodes", .what = "grid lower nodes"},
+    [NVDB_LEAVES] = {.name = "leaf nodes", .what = "grid leaves"},
+    [NVDB_BLIND] = {.name = "blind metadata"},
+    [NVDB_NORMALS] = {"normal", SEMANTIC_NORMAL, TYPE_UINT32, 4, 0, true, "grid normals"},
+    [NVDB_PLANES] = {"plane", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, 0, true, "grid planes"},
+    [NVDB_COLORS] = {"color", SEMANTIC_COLOR, TYPE_RGBA8, 4, COLOR, true, "grid colours"},
+    [NVDB_SECONDS] = {"second", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, 0, false, "grid second words"},
+    [NVDB_IDS] = {"id", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, IDS, true, "grid ids"},
+    [NVDB_NAMES] = {.name = "names", .value_bytes = 1, .flag = IDS},
+    [NVDB_CHANNELS] = {"channels", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, CHANNELS, true,
+                       "grid channels"},
+    [NVDB_TRAILER] = {.name = "bisque", .value_bytes = 1},
+};
 
 const struct nvdb_level fmt_nvdb_upper = {
     .name = "upper",
@@ -70,40 +73,33 @@ void fmt_nvdb_version(enum fmt_nvdb_type type, uint32_t version[3])
 
 void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layout *layout)
 {
-    uint64_t root_bytes =
-        counts->type == FMT_NVDB_ONINDEX ? NVDB_ROOT_BYTES_ONINDEX : NVDB_ROOT_BYTES_MASK;
-    layout->root =
-        FMT_NVDB_GRID_OFFSET + sizeof(struct nvdb_grid_data) + sizeof(struct nvdb_tree_data);
-    layout->tiles = layout->root + root_bytes;
-    layout->blind_count = 4 + (counts->has_color ? 1 : 0) + (counts->has_ids ? 2 : 0) +
-                          (counts->channel_words > 0 ? 1 : 0);
+    uint64_t blinds = 0, offset = 0;
+    for (int i = NVDB_NORMALS; i < NVDB_SECTION_COUNT; i++)
+        blinds += nvdb_has(counts->flags, i);
+    layout->tiles = NVDB_ROOT_OFFSET + (counts->type == FMT_NVDB_ONINDEX ? NVDB_ROOT_BYTES_ONINDEX
+                                                                         : NVDB_ROOT_BYTES_MASK);
     layout->record_count = 1 + counts->voxels + counts->seconds;
-    layout->second_words = counts->voxels / 32 + 1;
-
-    uint64_t size[NVDB_SECTION_COUNT] = {
+    const uint64_t size[NVDB_SECTION_COUNT] = {
         [NVDB_HEAD] = layout->tiles + counts->uppers * (uint64_t)sizeof(struct nvdb_tile),
         [NVDB_UPPERS] = counts->uppers * (uint64_t)sizeof(struct nvdb_upper),
         [NVDB_LOWERS] = counts->lowers * (uint64_t)sizeof(struct nvdb_lower),
         [NVDB_LEAVES] = counts->leaves * (uint64_t)sizeof(struct nvdb_leaf),
-        [NVDB_BLIND] = layout->blind_count * (uint64_t)sizeof(struct nvdb_blind),
+        [NVDB_BLIND] = blinds * sizeof(struct nvdb_blind),
         [NVDB_NORMALS] = layout->record_count * 4,
         [NVDB_PLANES] = layout->record_count * 4,
-        [NVDB_COLORS] = counts->has_color ? layout->record_count * 4 : 0,
-        [NVDB_SECONDS] = layout->second_words * 8,
-        [NVDB_IDS] = counts->has_ids ? layout->record_count * 4 : 0,
-        [NVDB_NAMES] = counts->has_ids ? counts->name_bytes : 0,
-        [NVDB_CHANNELS] = counts->channel_words > 0
-                              ? nvdb_channels_head_bytes(counts->channel_list_bytes) +
-                                    layout->record_count * counts->channel_words * sizeof(float)
-                              : 0,
+        [NVDB_COLORS] = layout->record_count * 4,
+        [NVDB_SECONDS] = (counts->voxels / 32 + 1) * 8,
+        [NVDB_IDS] = layout->record_count * 4,
+        [NVDB_NAMES] = counts->name_bytes,
+        [NVDB_CHANNELS] = nvdb_channels_head_bytes(counts->channel_list_bytes) +
+                          layout->record_count * counts->channel_words * sizeof(float),
         [NVDB_TRAILER] = sizeof(struct nvdb_trailer),
     };
-    uint64_t offset = 0;
     for (int i = 0; i < NVDB_SECTION_COUNT; i++) {
         if (i >= NVDB_NORMALS)
             offset = bsq_align_up(offset, NVDB_ALIGNMENT);
-        layout->section[i] = (struct nvdb_range){offset, size[i]};
-        offset += size[i];
+        layout->section[i] = (struct nvdb_range){offset, nvdb_has(counts->flags, i) ? size[i] : 0};
+        offset += layout->section[i].size;
     }
     layout->file_bytes = offset;
 }
@@ -184,11 +180,13 @@ static uint64_t name_key(const char *name)
     return key;
 }
 
-void fmt_nvdb_fill_file_head(const struct nvdb_grid_data *grid, const struct nvdb_tree_data *tree,
-                             const struct nvdb_root *root, uint8_t head[FMT_NVDB_GRID_OFFSET])
+void fmt_nvdb_fill_file_head(struct nvdb_fixed *fixed)
 {
-    struct nvdb_file_header header = {NVDB_MAGIC, grid->version, 1, 0};
-    struct nvdb_file_meta meta = {
+    const struct nvdb_grid_data *grid = &fixed->grid;
+    const struct nvdb_tree_data *tree = &fixed->tree;
+    struct nvdb_file_meta *meta = &fixed->meta;
+    fixed->header = (struct nvdb_file_header){NVDB_MAGIC, grid->version, 1, 0};
+    *meta = (struct nvdb_file_meta){
         .grid_bytes = grid->grid_bytes,
         .file_bytes = grid->grid_bytes,
         .name_key = name_key(NVDB_GRID_NAME),
@@ -199,15 +197,13 @@ void fmt_nvdb_fill_file_head(const struct nvdb_grid_data *grid, const struct nvd
         .node_count = {tree->node_count[0], tree->node_count[1], tree->node_count[2], 1},
         .version = grid->version,
     };
-    memcpy(meta.world_min, grid->world_min, sizeof(meta.world_min));
-    memcpy(meta.world_max, grid->world_max, sizeof(meta.world_max));
-    memcpy(meta.voxel_size, grid->voxel_size, sizeof(meta.voxel_size));
-    memcpy(meta.index_min, root->bbox_min, sizeof(meta.index_min));
-    memcpy(meta.index_max, root->bbox_max, sizeof(meta.index_max));
-    memset(head, 0, FMT_NVDB_GRID_OFFSET);
-    memcpy(head, &header, sizeof(header));
-    memcpy(head + sizeof(header), &meta, sizeof(meta));
-    strcpy((char *)head + sizeof(header) + sizeof(meta), NVDB_GRID_NAME);
+    memcpy(meta->world_min, grid->world_min, sizeof meta->world_min);
+    memcpy(meta->world_max, grid->world_max, sizeof meta->world_max);
+    memcpy(meta->voxel_size, grid->voxel_size, sizeof meta->voxel_size);
+    memcpy(meta->index_min, fixed->root.bbox_min, sizeof meta->index_min);
+    memcpy(meta->index_max, fixed->root.bbox_max, sizeof meta->index_max);
+    memset(fixed->name, 0, sizeof fixed->name);
+    strcpy(fixed->name, NVDB_GRID_NAME);
 }
 
 static void fill_map(const struct fmt_nvdb_info *info, struct nvdb_map *map)
@@ -226,8 +222,8 @@ static void fill_map(const struct fmt_nvdb_info *info, struct nvdb_map *map)
 }
 
 static void fill_grid(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
-                      const struct nvdb_layout *layout, const int32_t bbox_min[3],
-                      const int32_t bbox_max[3], struct nvdb_grid_data *grid)
+                      const struct nvdb_layout *layout, const struct nvdb_root *root,
+                      struct nvdb_grid_data *grid)
 {
     grid->magic = NVDB_MAGIC;
     grid->version = nvdb_version(counts->type);
@@ -239,16 +235,17 @@ static void fill_grid(const struct fmt_nvdb_info *info, const struct nvdb_counts
     /* NanoVDB's world box reaches from the lowest index to the highest index plus one, in world
      * coordinates that are rounded once. */
     for (int axis = 0; axis < 3; axis++) {
-        grid->world_min[axis] = fma(bbox_min[axis], info->voxel_size, info->translation[axis]);
+        grid->world_min[axis] =
+            fma(root->bbox_min[axis], info->voxel_size, info->translation[axis]);
         grid->world_max[axis] =
-            fma(bbox_max[axis] + 1.0, info->voxel_size, info->translation[axis]);
+            fma(root->bbox_max[axis] + 1.0, info->voxel_size, info->translation[axis]);
         grid->voxel_size[axis] = info->voxel_size;
     }
     bool indexed = counts->type == FMT_NVDB_ONINDEX;
     grid->grid_class = indexed ? NVDB_CLASS_INDEX : NVDB_CLASS_TOPOLOGY;
     grid->grid_type = counts->type;
     grid->blind_offset = (int64_t)(layout->section[NVDB_BLIND].offset - FMT_NVDB_GRID_OFFSET);
-    grid->blind_count = layout->blind_count;
+    grid->blind_count = (uint32_t)(layout->section[NVDB_BLIND].size / sizeof(struct nvdb_blind));
     grid->value_count = 1 + counts->voxels;
     grid->data2 = indexed ? NVDB_MAGIC_GRID : 0;
 }
@@ -256,11 +253,11 @@ static void fill_grid(const struct fmt_nvdb_info *info, const struct nvdb_counts
 static void fill_tree(const struct nvdb_counts *counts, const struct nvdb_layout *layout,
                       struct nvdb_tree_data *tree)
 {
-    uint64_t start = FMT_NVDB_GRID_OFFSET + sizeof(struct nvdb_grid_data);
+    const uint64_t start = offsetof(struct nvdb_fixed, tree);
     tree->node_offset[0] = layout->section[NVDB_LEAVES].offset - start;
     tree->node_offset[1] = layout->section[NVDB_LOWERS].offset - start;
     tree->node_offset[2] = layout->section[NVDB_UPPERS].offset - start;
-    tree->node_offset[3] = layout->root - start;
+    tree->node_offset[3] = NVDB_ROOT_OFFSET - start;
     tree->node_count[0] = counts->leaves;
     tree->node_count[1] = counts->lowers;
     tree->node_count[2] = counts->uppers;
@@ -283,19 +280,14 @@ void fmt_nvdb_fill_fixed(const struct fmt_nvdb_info *info, const struct nvdb_cou
                          const struct nvdb_layout *layout, const int32_t bbox_min[3],
                          const int32_t bbox_max[3], uint8_t *head)
 {
+    struct nvdb_fixed fixed = {.root.tile_count = counts->uppers};
+    memcpy(fixed.root.bbox_min, bbox_min, sizeof fixed.root.bbox_min);
+    memcpy(fixed.root.bbox_max, bbox_max, sizeof fixed.root.bbox_max);
+    fill_grid(info, counts, layout, &fixed.root, &fixed.grid);
+    fill_tree(counts, layout, &fixed.tree);
+    fmt_nvdb_fill_file_head(&fixed);
     memset(head, 0, layout->tiles);
-    struct nvdb_grid_data grid = {0};
-    fill_grid(info, counts, layout, bbox_min, bbox_max, &grid);
-    struct nvdb_tree_data tree = {0};
-    fill_tree(counts, layout, &tree);
-    struct nvdb_root root = {.tile_count = counts->uppers};
-    memcpy(root.bbox_min, bbox_min, sizeof(root.bbox_min));
-    memcpy(root.bbox_max, bbox_max, sizeof(root.bbox_max));
-
-    fmt_nvdb_fill_file_head(&grid, &tree, &root, head);
-    memcpy(head + FMT_NVDB_GRID_OFFSET, &grid, sizeof(grid));
-    memcpy(head + FMT_NVDB_GRID_OFFSET + sizeof(grid), &tree, sizeof(tree));
-    memcpy(head + layout->root, &root, sizeof(root));
+    memcpy(head, &fixed, sizeof fixed);
 }
 
 void fmt_nvdb_fill_blind(const struct nvdb_layout *layout, struct nvdb_blind *blind)
@@ -306,14 +298,14 @@ void fmt_nvdb_fill_blind(const struct nvdb_layout *layout, struct nvdb_blind *bl
         const struct nvdb_range *range = &layout->section[section];
         if (range->size == 0)
             continue;
-        const struct fmt_nvdb_channel *channel = fmt_nvdb_channel((enum nvdb_section)section);
+        const struct nvdb_row *row = &fmt_nvdb_rows[section];
         blind->offset = (int64_t)(range->offset - here);
-        blind->count = range->size / channel->value_bytes;
-        blind->value_bytes = channel->value_bytes;
-        blind->semantic = channel->semantic;
+        blind->count = range->size / row->value_bytes;
+        blind->value_bytes = row->value_bytes;
+        blind->semantic = row->semantic;
         blind->data_class = CLASS_CHANNEL_ARRAY;
-        blind->data_type = channel->data_type;
-        strcpy(blind->name, channel->name);
+        blind->data_type = row->data_type;
+        strcpy(blind->name, row->name);
         blind++;
         here += sizeof(*blind);
     }

@@ -97,10 +97,18 @@ struct nvdb_root {
 };
 enum { NVDB_ROOT_BYTES_MASK = 64, NVDB_ROOT_BYTES_ONINDEX = 96 };
 
-/* Bytes of section NVDB_HEAD before the tiles, at most. */
+/* The beginning of every file. The rest of RootData follows, and the tiles. */
+struct nvdb_fixed {
+    struct nvdb_file_header header;
+    struct nvdb_file_meta meta;
+    char name[NVDB_NAME_BYTES];
+    struct nvdb_grid_data grid;
+    struct nvdb_tree_data tree;
+    struct nvdb_root root;
+};
 enum {
-    NVDB_FIXED_BYTES_MAX = FMT_NVDB_GRID_OFFSET + sizeof(struct nvdb_grid_data) +
-                           sizeof(struct nvdb_tree_data) + NVDB_ROOT_BYTES_ONINDEX
+    NVDB_ROOT_OFFSET = offsetof(struct nvdb_fixed, root),
+    NVDB_TILES_OFFSET_MAX = NVDB_ROOT_OFFSET + NVDB_ROOT_BYTES_ONINDEX
 };
 
 struct nvdb_tile {
@@ -144,7 +152,8 @@ struct nvdb_blind {
 
 static_assert(sizeof(struct nvdb_file_header) == 16, "file header");
 static_assert(sizeof(struct nvdb_file_meta) == 176, "file metadata");
-static_assert(16 + 176 + NVDB_NAME_BYTES == FMT_NVDB_GRID_OFFSET, "start of the grid");
+static_assert(offsetof(struct nvdb_fixed, grid) == FMT_NVDB_GRID_OFFSET, "start of the grid");
+static_assert(NVDB_ROOT_OFFSET == 960, "start of RootData");
 static_assert(offsetof(struct nvdb_grid_data, map) == 296, "GridData");
 static_assert(offsetof(struct nvdb_grid_data, world_min) == 560, "GridData");
 static_assert(offsetof(struct nvdb_grid_data, blind_offset) == 640, "GridData");
@@ -211,7 +220,7 @@ static_assert(sizeof(struct nvdb_trailer) == 192, "bisque trailer");
 /* The counts that determine a layout. */
 struct nvdb_counts {
     enum fmt_nvdb_type type;
-    bool has_color, has_ids;
+    uint32_t flags; /* of the trailer: which sections the grid has */
     uint32_t uppers, lowers, leaves;
     uint64_t voxels, seconds, name_bytes;
     uint32_t channel_words, channel_list_bytes; /* 0: no channels */
@@ -223,33 +232,57 @@ struct nvdb_range {
 
 struct nvdb_layout {
     struct nvdb_range section[NVDB_SECTION_COUNT];
-    uint64_t root, tiles; /* offsets in the file */
-    uint32_t blind_count;
-    uint64_t record_count, second_words;
-    uint64_t file_bytes;
+    uint64_t tiles; /* offset in the file */
+    uint64_t record_count, file_bytes;
 };
 
-/* A section: its name in messages, which from NVDB_NORMALS on is that of a channel, described in
- * NanoVDB's terms. */
-struct fmt_nvdb_channel {
-    const char *name;
+/* A row of the table of sections. From NVDB_NORMALS on they are channels: NanoVDB's terms describe
+ * them. */
+struct nvdb_row {
+    const char *name; /* of the channel, or for messages */
     uint32_t semantic, data_type, value_bytes;
+    uint32_t flag;    /* of the trailers of grids that have the section; 0: all grids do */
+    bool per_record;  /* it has values for each record: those of second records come last */
     const char *what; /* what temporary files of the section hold; NULL: it does not grow */
 };
+extern const struct nvdb_row fmt_nvdb_rows[NVDB_SECTION_COUNT];
 
-const struct fmt_nvdb_channel *fmt_nvdb_channel(enum nvdb_section section);
-
-/* Returns whether a section has values for each record: those of second records follow. */
-static inline bool nvdb_has_second(int section)
+/* Returns the flags of a grid that has these. */
+static inline uint32_t nvdb_flags(bool color, enum bsq_ids ids, bool channels)
 {
-    return section == NVDB_NORMALS || section == NVDB_PLANES || section == NVDB_COLORS ||
-           section == NVDB_IDS || section == NVDB_CHANNELS;
+    return (color ? NVDB_TRAILER_HAS_COLOR : 0) | (ids != BSQ_IDS_NONE ? NVDB_TRAILER_HAS_IDS : 0) |
+           (channels ? NVDB_TRAILER_HAS_CHANNELS : 0);
 }
 
-/* Returns whether a section is of ids: it has no checksum if the grid has none. */
-static inline bool nvdb_is_of_ids(int section)
+/* Returns the flags of a grid that fmt_nvdb_check_header() accepted. */
+static inline uint32_t nvdb_flags_of(const struct fmt_nvdb_grid *grid)
 {
-    return section == NVDB_IDS || section == NVDB_NAMES;
+    return nvdb_flags(grid->info.has_color, grid->info.ids, grid->channel_words > 0);
+}
+
+/* Returns whether a grid with these flags has a section. */
+static inline bool nvdb_has(uint32_t flags, int section)
+{
+    return (fmt_nvdb_rows[section].flag & ~flags) == 0;
+}
+
+/* Returns the version of a trailer with these flags. */
+static inline uint32_t nvdb_trailer_version(uint32_t flags)
+{
+    return flags & NVDB_TRAILER_HAS_CHANNELS ? FMT_NVDB_TRAILER_VERSION_CHANNELS
+           : flags & NVDB_TRAILER_HAS_IDS    ? FMT_NVDB_TRAILER_VERSION_IDS
+                                             : FMT_NVDB_TRAILER_VERSION;
+}
+
+/* Returns the place of the checksum of a section before the trailer. Without a section it is 0, but
+ * without colours it is the checksum of no bytes. */
+static inline uint64_t *nvdb_checksum(struct nvdb_trailer *trailer, int section)
+{
+    return section == NVDB_CHANNELS ? &trailer->channels_checksum : &trailer->checksum[section];
+}
+static inline bool nvdb_has_checksum(uint32_t flags, int section)
+{
+    return section == NVDB_COLORS || nvdb_has(flags, section);
 }
 
 /* Upper and lower nodes: both are a struct nvdb_node, and these words follow: the value mask and
@@ -329,9 +362,9 @@ void fmt_nvdb_bbox_clear(int32_t bbox_min[3], int32_t bbox_max[3]);
 void fmt_nvdb_bbox_extend(int32_t bbox_min[3], int32_t bbox_max[3], const int32_t other_min[3],
                           const int32_t other_max[3]);
 
-/* Fills the first 224 bytes of the file from its GridData, TreeData and RootData. */
-void fmt_nvdb_fill_file_head(const struct nvdb_grid_data *grid, const struct nvdb_tree_data *tree,
-                             const struct nvdb_root *root, uint8_t head[FMT_NVDB_GRID_OFFSET]);
+/* Fills the file header and its metadata, which repeat numbers of GridData, TreeData and RootData.
+ */
+void fmt_nvdb_fill_file_head(struct nvdb_fixed *fixed);
 /* Fills section NVDB_HEAD up to the tiles, layout->tiles bytes, with zeros for the checksum. Reads
  * only voxel size and translation of `info`. */
 void fmt_nvdb_fill_fixed(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
@@ -356,14 +389,6 @@ int fmt_nvdb_check_nodes(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
 static inline uint64_t nvdb_channels_head_bytes(uint32_t list_bytes)
 {
     return bsq_align_up(sizeof(struct nvdb_channels_head) + (uint64_t)list_bytes, NVDB_ALIGNMENT);
-}
-
-/* Returns the version of the trailer of a grid with these channels. */
-static inline int nvdb_trailer_version(bool has_ids, bool has_channels)
-{
-    return has_channels ? FMT_NVDB_TRAILER_VERSION_CHANNELS
-           : has_ids    ? FMT_NVDB_TRAILER_VERSION_IDS
-                        : FMT_NVDB_TRAILER_VERSION;
 }
 
 /* Give the layout of a grid that fmt_nvdb_check_header() accepted, and its trailer. */

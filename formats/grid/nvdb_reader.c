@@ -15,22 +15,12 @@ struct head {
     const char *path;
     const uint8_t *file;
     uint64_t size;
-    /* Copies, with zeros after the end of the file. */
-    struct nvdb_file_header header;
-    struct nvdb_file_meta meta;
-    struct nvdb_grid_data grid;
-    struct nvdb_tree_data tree;
-    struct nvdb_root root;
-    struct nvdb_trailer trailer; /* valid after read_counts() */
+    struct nvdb_fixed fixed; /* copied, with zeros after the end of the file */
+    /* Valid after read_trailer(), read_counts() and read_channels(). */
+    struct nvdb_trailer trailer;
+    struct nvdb_counts counts;
+    struct nvdb_layout layout;
 };
-
-/* Copies bytes of the file; those after its end stay as they are. */
-static void copy_part(const struct head *h, uint64_t offset, void *to, uint64_t bytes)
-{
-    uint64_t left = offset < h->size ? h->size - offset : 0;
-    if (left > 0)
-        memcpy(to, h->file + offset, left < bytes ? left : bytes);
-}
 
 static int damaged(const struct head *h, const char *what)
 {
@@ -39,7 +29,7 @@ static int damaged(const struct head *h, const char *what)
 
 static int fail_version(const struct head *h)
 {
-    uint32_t v = h->header.version;
+    uint32_t v = h->fixed.header.version;
     return bsq_fail(h->ctx, BSQ_EDATA,
                     "%s: NanoVDB file of version %" PRIu32 ".%" PRIu32 ".%" PRIu32
                     ": Bisque reads 32.4.2 (mask) and 32.6.0 (onindex)",
@@ -65,11 +55,10 @@ static int fail_foreign(const struct head *h)
         "Mask",   "Half",  "uint32", "bool",  "RGBA8",   "Float4",    "Float8",     "Float16",
         "FloatN", "Vec4f", "Vec4d",  "Index", "OnIndex", "IndexMask", "OnIndexMask"};
     char name[64];
-    uint64_t start = sizeof(h->header) + sizeof(h->meta);
-    uint64_t available = h->size - start;
+    const uint64_t start = offsetof(struct nvdb_fixed, name), available = h->size - start;
     copy_name((const char *)h->file + start,
-              h->meta.name_bytes < available ? h->meta.name_bytes : available, name);
-    uint32_t type = h->meta.grid_type;
+              h->fixed.meta.name_bytes < available ? h->fixed.meta.name_bytes : available, name);
+    uint32_t type = h->fixed.meta.grid_type;
     if (type == 0 || type >= sizeof(types) / sizeof(*types))
         return bsq_fail(h->ctx, BSQ_EDATA,
                         "%s: grid \"%s\" of type number %" PRIu32 " is not a Bisque surface grid",
@@ -82,7 +71,7 @@ static int fail_foreign(const struct head *h)
 static int fail_compressed(const struct head *h)
 {
     static const char *const codecs[] = {"none", "ZIP", "BLOSC"};
-    uint16_t codec = h->header.codec;
+    uint16_t codec = h->fixed.header.codec;
     return bsq_fail(h->ctx, BSQ_EDATA,
                     "%s: compressed NanoVDB file (codec %s): Bisque reads uncompressed ones",
                     h->path, codec < 3 ? codecs[codec] : "unknown");
@@ -92,35 +81,34 @@ static int fail_compressed(const struct head *h)
  * another kind, and the messages name it. */
 static int check_file_header(struct head *h)
 {
-    if (h->size >= sizeof(uint64_t) && (__builtin_bswap64(h->header.magic) == NVDB_MAGIC ||
-                                        __builtin_bswap64(h->header.magic) == NVDB_MAGIC_FILE))
+    if (h->size >= sizeof(uint64_t) &&
+        (__builtin_bswap64(h->fixed.header.magic) == NVDB_MAGIC ||
+         __builtin_bswap64(h->fixed.header.magic) == NVDB_MAGIC_FILE))
         return bsq_fail(h->ctx, BSQ_EDATA,
                         "%s: NanoVDB file of a big-endian machine: Bisque reads little-endian ones",
                         h->path);
     if (h->size < sizeof(uint64_t) ||
-        (h->header.magic != NVDB_MAGIC && h->header.magic != NVDB_MAGIC_GRID &&
-         h->header.magic != NVDB_MAGIC_FILE))
+        (h->fixed.header.magic != NVDB_MAGIC && h->fixed.header.magic != NVDB_MAGIC_GRID &&
+         h->fixed.header.magic != NVDB_MAGIC_FILE))
         return bsq_fail(h->ctx, BSQ_EDATA, "%s: not a NanoVDB file", h->path);
-    uint64_t least =
-        FMT_NVDB_GRID_OFFSET + sizeof(h->grid) + sizeof(h->tree) + NVDB_ROOT_BYTES_MASK;
-    if (h->size < least)
+    if (h->size < NVDB_ROOT_OFFSET + NVDB_ROOT_BYTES_MASK)
         return bsq_fail(h->ctx, BSQ_EDATA, "%s: truncated: %" PRIu64 " bytes are too few", h->path,
                         h->size);
-    if (h->header.magic == NVDB_MAGIC_GRID)
+    if (h->fixed.header.magic == NVDB_MAGIC_GRID)
         return bsq_fail(h->ctx, BSQ_EDATA, "%s: a NanoVDB grid without file header", h->path);
-    if (h->header.magic == NVDB_MAGIC_FILE || h->header.version >> 21 != 32)
+    if (h->fixed.header.magic == NVDB_MAGIC_FILE || h->fixed.header.version >> 21 != 32)
         return fail_version(h);
-    if (h->header.grid_count != 1)
+    if (h->fixed.header.grid_count != 1)
         return bsq_fail(h->ctx, BSQ_EDATA, "%s: %u grids: a Bisque surface grid stands alone",
-                        h->path, h->header.grid_count);
-    uint32_t type = h->meta.grid_type;
+                        h->path, h->fixed.header.grid_count);
+    uint32_t type = h->fixed.meta.grid_type;
     if (type != FMT_NVDB_MASK && type != FMT_NVDB_ONINDEX)
         return fail_foreign(h);
-    if (h->header.codec != 0)
+    if (h->fixed.header.codec != 0)
         return fail_compressed(h);
-    if (h->meta.name_bytes != NVDB_NAME_BYTES)
+    if (h->fixed.meta.name_bytes != NVDB_NAME_BYTES)
         return fail_foreign(h);
-    if (h->header.version != nvdb_version((enum fmt_nvdb_type)type))
+    if (h->fixed.header.version != nvdb_version((enum fmt_nvdb_type)type))
         return fail_version(h);
     return 0;
 }
@@ -128,13 +116,13 @@ static int check_file_header(struct head *h)
 /* Checks the numbers that the rest of the head is computed from, see check_head(). */
 static int check_grid_data(const struct head *h)
 {
-    const struct nvdb_grid_data *grid = &h->grid;
+    const struct nvdb_grid_data *grid = &h->fixed.grid;
     if (grid->grid_bytes != h->size - FMT_NVDB_GRID_OFFSET)
         return bsq_fail(h->ctx, BSQ_EDATA,
                         "%s: truncated or damaged: the grid has %" PRIu64
                         " bytes, the file has %" PRIu64 " for it",
                         h->path, grid->grid_bytes, h->size - FMT_NVDB_GRID_OFFSET);
-    if (grid->version != h->header.version || grid->grid_type != h->meta.grid_type)
+    if (grid->version != h->fixed.header.version || grid->grid_type != h->fixed.meta.grid_type)
         return damaged(h, "version or type of the grid");
     if (strncmp(grid->name, NVDB_GRID_NAME, sizeof(grid->name)) != 0)
         return fail_foreign(h);
@@ -143,94 +131,33 @@ static int check_grid_data(const struct head *h)
         return damaged(h, "voxel size");
     for (int axis = 0; axis < 3; axis++)
         if (!isfinite(grid->map.translation[axis]) ||
-            h->root.bbox_min[axis] > h->root.bbox_max[axis])
+            h->fixed.root.bbox_min[axis] > h->fixed.root.bbox_max[axis])
             return damaged(h, "translation or bounds");
     return 0;
 }
 
-/* Checks the trailer except for its bounds. */
-static bool is_trailer_valid(const struct nvdb_trailer *trailer, const struct nvdb_counts *counts)
+/* Returns whether the trailer is as a writer would write it for the grid that it describes. */
+static bool is_trailer_valid(const struct nvdb_trailer *trailer)
 {
-    const bool ids = counts->has_ids, channels = trailer->flags & NVDB_TRAILER_HAS_CHANNELS;
-    const uint64_t later = trailer->checksum[NVDB_IDS] | trailer->checksum[NVDB_NAMES];
-    const uint32_t flags = (counts->has_color ? NVDB_TRAILER_HAS_COLOR : 0) |
-                           (counts->has_ids ? NVDB_TRAILER_HAS_IDS : 0) |
-                           (channels ? NVDB_TRAILER_HAS_CHANNELS : 0);
-    return trailer->flags == flags &&
-           trailer->version == (uint32_t)nvdb_trailer_version(ids, channels) &&
-           (ids ? trailer->name_bytes >> 61 == 0 : (later | trailer->name_bytes) == 0) &&
-           trailer->second_count <= counts->voxels && trailer->second_count <= UINT32_MAX &&
-           (channels || trailer->channels_checksum == 0) &&
-           trailer->trailer_checksum == fmt_nvdb_trailer_checksum(trailer);
+    const uint32_t known =
+        NVDB_TRAILER_HAS_COLOR | NVDB_TRAILER_HAS_IDS | NVDB_TRAILER_HAS_CHANNELS;
+    struct nvdb_trailer expected = *trailer;
+    expected.flags &= known;
+    expected.version = nvdb_trailer_version(expected.flags);
+    for (int i = 0; i < NVDB_TRAILER; i++)
+        if (!nvdb_has_checksum(expected.flags, i))
+            *nvdb_checksum(&expected, i) = 0;
+    if (!nvdb_has(expected.flags, NVDB_NAMES))
+        expected.name_bytes = 0;
+    expected.trailer_checksum = fmt_nvdb_trailer_checksum(&expected);
+    return memcmp(trailer, &expected, sizeof expected) == 0;
 }
 
-/* Sets which channels the grid has by their number, and by the trailer if it is whole. Further
- * channels have at least one value; read_channels() sets how many. */
-static bool find_channels(struct head *h, struct nvdb_counts *counts)
+static int read_trailer(struct head *h)
 {
     struct nvdb_trailer *trailer = &h->trailer;
-    memcpy(trailer, h->file + h->size - sizeof(*trailer), sizeof(*trailer));
-    const bool whole = trailer->trailer_checksum == fmt_nvdb_trailer_checksum(trailer);
-    const uint32_t more = h->grid.blind_count - 4, flags = whole ? trailer->flags : 0;
-    const uint32_t channels = flags & NVDB_TRAILER_HAS_CHANNELS ? 1 : 0;
-    counts->has_color = (more - channels) & 1;
-    counts->has_ids = (more - channels) & 2;
-    counts->channel_words = channels;
-    return h->grid.blind_count >= 4 + channels && more - channels <= 3;
-}
-
-/* Reads the head of the section of channels, at an offset in the file. */
-static bool find_channel_list(const struct head *h, uint64_t offset, struct nvdb_counts *counts)
-{
-    struct nvdb_channels_head head;
-    if (offset > h->size || h->size - offset < sizeof head)
-        return false;
-    memcpy(&head, h->file + offset, sizeof head);
-    const uint8_t *list = h->file + offset + sizeof head;
-    const uint64_t bytes = nvdb_channels_head_bytes(head.list_bytes);
-    if (h->size - offset < bytes || head.words == 0 ||
-        bsq_channel_list_values((const char *)list, head.list_bytes) != head.words)
-        return false;
-    for (uint64_t i = head.list_bytes; i < bytes - sizeof head; i++)
-        if (list[i] != 0)
-            return false;
-    counts->channel_words = head.words;
-    counts->channel_list_bytes = head.list_bytes;
-    return true;
-}
-
-static int read_channels(const struct head *h, struct nvdb_counts *counts)
-{
-    struct nvdb_layout layout;
-    if (!(h->trailer.flags & NVDB_TRAILER_HAS_CHANNELS))
-        return 0;
-    fmt_nvdb_layout_compute(counts, &layout);
-    return find_channel_list(h, layout.section[NVDB_CHANNELS].offset, counts)
-               ? 0
-               : damaged(h, "list of channels");
-}
-
-/* Reads the counts that determine the layout; checks each against the file's size. */
-static int read_counts(struct head *h, struct nvdb_counts *counts)
-{
-    counts->type = (enum fmt_nvdb_type)h->grid.grid_type;
-    counts->leaves = h->tree.node_count[0];
-    counts->lowers = h->tree.node_count[1];
-    counts->uppers = h->tree.node_count[2];
-    counts->voxels = h->tree.voxel_count;
-    counts->seconds = 0;
-    if (!find_channels(h, counts))
-        return fail_foreign(h);
-    if (counts->uppers == 0 || counts->lowers < counts->uppers || counts->leaves < counts->lowers ||
-        counts->voxels < counts->leaves || counts->voxels / 512 > counts->leaves)
-        return damaged(h, "node counts");
-
-    struct nvdb_layout layout;
-    fmt_nvdb_layout_compute(counts, &layout);
-    if (layout.file_bytes > h->size)
-        return damaged(h, "node counts");
-    struct nvdb_trailer *trailer = &h->trailer;
-    if (memcmp(trailer->magic, NVDB_TRAILER_MAGIC, sizeof(trailer->magic)) != 0)
+    memcpy(trailer, h->file + h->size - sizeof *trailer, sizeof *trailer);
+    if (memcmp(trailer->magic, NVDB_TRAILER_MAGIC, sizeof trailer->magic) != 0)
         return fail_foreign(h);
     if (trailer->version < FMT_NVDB_TRAILER_VERSION ||
         trailer->version > FMT_NVDB_TRAILER_VERSION_CHANNELS)
@@ -238,35 +165,86 @@ static int read_counts(struct head *h, struct nvdb_counts *counts)
             h->ctx, BSQ_EDATA,
             "%s: surface grid of version %" PRIu32 ": this Bisque reads versions %d to %d", h->path,
             trailer->version, FMT_NVDB_TRAILER_VERSION, FMT_NVDB_TRAILER_VERSION_CHANNELS);
-    if (!is_trailer_valid(trailer, counts))
+    if (!is_trailer_valid(trailer))
         return damaged(h, "\"bisque\" trailer");
     for (int axis = 0; axis < 3; axis++)
-        if (!isfinite(trailer->scan_min[axis]) || !isfinite(trailer->scan_max[axis]))
+        if (!isfinite(trailer->scan_min[axis]) || !isfinite(trailer->scan_max[axis]) ||
+            trailer->scan_min[axis] > trailer->scan_max[axis])
             return damaged(h, "scan bounds");
-    counts->seconds = trailer->second_count;
-    counts->name_bytes = trailer->name_bytes;
-    return read_channels(h, counts);
+    return 0;
+}
+
+/* Reads the counts that determine the layout, except for those of channels. The limits bound them
+ * so that fmt_nvdb_layout_compute() cannot overflow. */
+static int read_counts(struct head *h)
+{
+    const struct nvdb_tree_data *tree = &h->fixed.tree;
+    struct nvdb_counts *counts = &h->counts;
+    *counts = (struct nvdb_counts){
+        .type = (enum fmt_nvdb_type)h->fixed.grid.grid_type,
+        .flags = h->trailer.flags,
+        .leaves = tree->node_count[0],
+        .lowers = tree->node_count[1],
+        .uppers = tree->node_count[2],
+        .voxels = tree->voxel_count,
+        .seconds = h->trailer.second_count,
+        .name_bytes = h->trailer.name_bytes,
+    };
+    if (counts->uppers == 0 || counts->lowers < counts->uppers || counts->leaves < counts->lowers ||
+        counts->voxels < counts->leaves || counts->voxels / 512 > counts->leaves)
+        return damaged(h, "node counts");
+    if (counts->seconds > counts->voxels || counts->seconds > UINT32_MAX ||
+        counts->name_bytes >> 61 != 0)
+        return damaged(h, "\"bisque\" trailer");
+    return 0;
+}
+
+/* Reads how many values the channels have, from the list at the beginning of their section, and
+ * computes the layout. How many they are does not change where the section begins. */
+static int read_channels(struct head *h)
+{
+    struct nvdb_channels_head head;
+    fmt_nvdb_layout_compute(&h->counts, &h->layout);
+    if (!nvdb_has(h->counts.flags, NVDB_CHANNELS))
+        return 0;
+    const uint64_t offset = h->layout.section[NVDB_CHANNELS].offset;
+    if (offset > h->size || h->size - offset < sizeof head)
+        return damaged(h, "list of channels");
+    memcpy(&head, h->file + offset, sizeof head);
+    const uint8_t *list = h->file + offset + sizeof head;
+    const uint64_t bytes = nvdb_channels_head_bytes(head.list_bytes);
+    if (h->size - offset < bytes || head.words == 0 ||
+        bsq_channel_list_values((const char *)list, head.list_bytes) != head.words)
+        return damaged(h, "list of channels");
+    for (uint64_t i = head.list_bytes; i < bytes - sizeof head; i++)
+        if (list[i] != 0)
+            return damaged(h, "list of channels");
+    h->counts.channel_words = head.words;
+    h->counts.channel_list_bytes = head.list_bytes;
+    fmt_nvdb_layout_compute(&h->counts, &h->layout);
+    return 0;
 }
 
 /* Compares the file up to the root's tiles, except for the CRC-32, with what a writer would write
  * for these counts, this transform and these bounds. */
-static int check_fixed(const struct head *h, const struct nvdb_counts *counts,
-                       const struct nvdb_layout *layout)
+static int check_fixed(const struct head *h)
 {
     const uint64_t crc_at = FMT_NVDB_GRID_OFFSET + offsetof(struct nvdb_grid_data, checksum);
     const struct {
         uint64_t end;
         const char *name;
     } parts[] = {{FMT_NVDB_GRID_OFFSET, "file header"},
-                 {FMT_NVDB_GRID_OFFSET + sizeof(h->grid), "GridData"},
-                 {layout->root, "TreeData"},
-                 {layout->tiles, "RootData"}};
-    uint8_t expected[NVDB_FIXED_BYTES_MAX];
-    struct fmt_nvdb_info info = {.voxel_size = h->grid.map.matrix[0]};
-    memcpy(info.translation, h->grid.map.translation, sizeof(info.translation));
-    fmt_nvdb_fill_fixed(&info, counts, layout, h->root.bbox_min, h->root.bbox_max, expected);
-    memcpy(expected + crc_at, h->file + crc_at, sizeof(h->grid.checksum[0]));
-    memset(expected + crc_at + 4, 0xff, sizeof(h->grid.checksum[1]));
+                 {offsetof(struct nvdb_fixed, tree), "GridData"},
+                 {NVDB_ROOT_OFFSET, "TreeData"},
+                 {h->layout.tiles, "RootData"}};
+    uint8_t expected[NVDB_TILES_OFFSET_MAX];
+    const struct nvdb_map *map = &h->fixed.grid.map;
+    struct fmt_nvdb_info info = {.voxel_size = map->matrix[0]};
+    memcpy(info.translation, map->translation, sizeof(info.translation));
+    fmt_nvdb_fill_fixed(&info, &h->counts, &h->layout, h->fixed.root.bbox_min,
+                        h->fixed.root.bbox_max, expected);
+    memcpy(expected + crc_at, h->file + crc_at, sizeof(h->fixed.grid.checksum[0]));
+    memset(expected + crc_at + 4, 0xff, sizeof(h->fixed.grid.checksum[1]));
     uint64_t begin = 0;
     for (int i = 0; i < 4; begin = parts[i++].end)
         if (memcmp(h->file + begin, expected + begin, parts[i].end - begin) != 0)
@@ -275,66 +253,73 @@ static int check_fixed(const struct head *h, const struct nvdb_counts *counts,
 }
 
 /* Compares offsets, sizes and all that can be computed with the file. */
-static int check_head(const struct head *h, const struct nvdb_counts *counts,
-                      const struct nvdb_layout *layout)
+static int check_head(const struct head *h)
 {
+    const struct nvdb_range *descriptions = &h->layout.section[NVDB_BLIND];
     struct nvdb_blind blind[NVDB_SECTION_COUNT];
-    int status = check_fixed(h, counts, layout);
+    if (h->layout.file_bytes != h->size)
+        return damaged(h, h->layout.file_bytes > h->size ? "node counts" : "file size");
+    int status = check_fixed(h);
     if (status)
         return status;
-    fmt_nvdb_fill_blind(layout, blind);
-    if (memcmp(h->file + layout->section[NVDB_BLIND].offset, blind,
-               layout->section[NVDB_BLIND].size) != 0)
+    fmt_nvdb_fill_blind(&h->layout, blind);
+    if (memcmp(h->file + descriptions->offset, blind, descriptions->size) != 0)
         return damaged(h, "channel descriptions");
-    if (fmt_nvdb_head_crc(h->file, layout) != h->grid.checksum[0])
+    if (fmt_nvdb_head_crc(h->file, &h->layout) != h->fixed.grid.checksum[0])
         return damaged(h, "checksum of the grid's header");
     return 0;
 }
 
-static void fill_grid(const struct head *h, const struct nvdb_counts *counts,
-                      const struct nvdb_layout *layout, struct fmt_nvdb_grid *grid)
+/* Returns a section of the file, NULL if the grid lacks it. */
+static const void *section_of(const struct head *h, enum nvdb_section section)
 {
+    const bool has = nvdb_has(h->counts.flags, section);
+    return has ? h->file + h->layout.section[section].offset : NULL;
+}
+
+static void fill_grid(const struct head *h, struct fmt_nvdb_grid *grid)
+{
+    const struct nvdb_fixed *fixed = &h->fixed;
     const struct nvdb_trailer *trailer = &h->trailer;
+    const struct nvdb_counts *counts = &h->counts;
     grid->info.type = counts->type;
-    grid->info.has_color = counts->has_color;
-    grid->info.voxel_size = h->grid.map.matrix[0];
+    grid->info.has_color = nvdb_has(counts->flags, NVDB_COLORS);
+    grid->info.voxel_size = fixed->grid.map.matrix[0];
     grid->info.source_triangles = trailer->source_triangles;
-    memcpy(grid->info.translation, h->grid.map.translation, sizeof(grid->info.translation));
+    memcpy(grid->info.translation, fixed->grid.map.translation, sizeof(grid->info.translation));
     memcpy(grid->info.scan_min, trailer->scan_min, sizeof(grid->info.scan_min));
     memcpy(grid->info.scan_max, trailer->scan_max, sizeof(grid->info.scan_max));
-    memcpy(grid->index_min, h->root.bbox_min, sizeof(grid->index_min));
-    memcpy(grid->index_max, h->root.bbox_max, sizeof(grid->index_max));
+    memcpy(grid->index_min, fixed->root.bbox_min, sizeof(grid->index_min));
+    memcpy(grid->index_max, fixed->root.bbox_max, sizeof(grid->index_max));
     grid->grid = h->file + FMT_NVDB_GRID_OFFSET;
-    grid->grid_bytes = h->grid.grid_bytes;
-    grid->root = h->file + layout->root;
-    grid->tiles = h->file + layout->tiles;
-    grid->uppers = h->file + layout->section[NVDB_UPPERS].offset;
-    grid->lowers = h->file + layout->section[NVDB_LOWERS].offset;
-    grid->leaves = h->file + layout->section[NVDB_LEAVES].offset;
+    grid->grid_bytes = fixed->grid.grid_bytes;
+    grid->root = h->file + NVDB_ROOT_OFFSET;
+    grid->tiles = h->file + h->layout.tiles;
+    grid->uppers = section_of(h, NVDB_UPPERS);
+    grid->lowers = section_of(h, NVDB_LOWERS);
+    grid->leaves = section_of(h, NVDB_LEAVES);
     grid->tile_count = grid->upper_count = counts->uppers;
     grid->lower_count = counts->lowers;
     grid->leaf_count = counts->leaves;
     grid->upper_bytes = sizeof(struct nvdb_upper);
     grid->lower_bytes = sizeof(struct nvdb_lower);
     grid->voxel_count = counts->voxels;
-    grid->record_count = layout->record_count;
-    grid->normals = (const void *)(h->file + layout->section[NVDB_NORMALS].offset);
-    grid->planes = (const void *)(h->file + layout->section[NVDB_PLANES].offset);
-    if (counts->has_color)
-        grid->colors = (const void *)(h->file + layout->section[NVDB_COLORS].offset);
-    grid->seconds = (const void *)(h->file + layout->section[NVDB_SECONDS].offset);
+    grid->record_count = h->layout.record_count;
+    grid->normals = section_of(h, NVDB_NORMALS);
+    grid->planes = section_of(h, NVDB_PLANES);
+    grid->colors = section_of(h, NVDB_COLORS);
+    grid->seconds = section_of(h, NVDB_SECONDS);
+    grid->ids = section_of(h, NVDB_IDS);
+    grid->names = section_of(h, NVDB_NAMES);
+    grid->name_bytes = counts->name_bytes;
     grid->channel_words = counts->channel_words;
     grid->channel_list_bytes = counts->channel_list_bytes;
-    if (counts->channel_words > 0) {
-        const uint8_t *at = h->file + layout->section[NVDB_CHANNELS].offset;
-        grid->channel_list = (const char *)at + sizeof(struct nvdb_channels_head);
-        grid->channels = (const void *)(at + nvdb_channels_head_bytes(counts->channel_list_bytes));
-    }
-    if (!counts->has_ids)
+    const uint8_t *channels = section_of(h, NVDB_CHANNELS);
+    if (!channels)
         return;
-    grid->ids = (const void *)(h->file + layout->section[NVDB_IDS].offset);
-    grid->names = h->file + layout->section[NVDB_NAMES].offset;
-    grid->name_bytes = counts->name_bytes;
+    grid->channel_list = (const char *)channels + sizeof(struct nvdb_channels_head);
+    grid->channels =
+        (const void *)(channels + nvdb_channels_head_bytes(counts->channel_list_bytes));
 }
 
 /* ---- names ---- */
@@ -394,24 +379,17 @@ int fmt_nvdb_check_header(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
 {
     struct head h = {
         .ctx = ctx, .path = grid->map.path, .file = grid->map.data, .size = grid->map.size};
-    const uint64_t tree = FMT_NVDB_GRID_OFFSET + sizeof(h.grid);
-    struct nvdb_counts counts = {0};
-    struct nvdb_layout layout;
     int status;
-    copy_part(&h, 0, &h.header, sizeof(h.header));
-    copy_part(&h, sizeof(h.header), &h.meta, sizeof(h.meta));
-    copy_part(&h, FMT_NVDB_GRID_OFFSET, &h.grid, sizeof(h.grid));
-    copy_part(&h, tree, &h.tree, sizeof(h.tree));
-    copy_part(&h, tree + sizeof(h.tree), &h.root, sizeof(h.root));
+    if (h.size > 0)
+        memcpy(&h.fixed, h.file, h.size < sizeof h.fixed ? h.size : sizeof h.fixed);
     BSQ_TRY(check_file_header(&h));
     BSQ_TRY(check_grid_data(&h));
-    BSQ_TRY(read_counts(&h, &counts));
-    fmt_nvdb_layout_compute(&counts, &layout);
-    if (layout.file_bytes != h.size)
-        return damaged(&h, "file size");
-    BSQ_TRY(check_head(&h, &counts, &layout));
-    fill_grid(&h, &counts, &layout, grid);
-    if (counts.has_ids && !check_names(grid))
+    BSQ_TRY(read_trailer(&h));
+    BSQ_TRY(read_counts(&h));
+    BSQ_TRY(read_channels(&h));
+    BSQ_TRY(check_head(&h));
+    fill_grid(&h, grid);
+    if (grid->names && !check_names(grid))
         status = damaged(&h, "names of ids");
 done:
     return status;
@@ -421,8 +399,7 @@ void fmt_nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *la
 {
     struct nvdb_counts counts = {
         .type = grid->info.type,
-        .has_color = grid->info.has_color,
-        .has_ids = grid->info.ids != BSQ_IDS_NONE,
+        .flags = nvdb_flags_of(grid),
         .name_bytes = grid->name_bytes,
         .channel_words = grid->channel_words,
         .channel_list_bytes = grid->channel_list_bytes,
@@ -487,7 +464,7 @@ void fmt_nvdb_close(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
 
 int fmt_nvdb_trailer_version(const struct fmt_nvdb_grid *grid)
 {
-    return nvdb_trailer_version(grid->info.ids != BSQ_IDS_NONE, grid->channel_words > 0);
+    return (int)nvdb_trailer_version(nvdb_flags_of(grid));
 }
 
 uint64_t fmt_nvdb_second(const struct fmt_nvdb_grid *grid, uint64_t v)

@@ -33,13 +33,9 @@ enum { ENTRIES_PER_TASK = 1 << 16 };
 struct check {
     struct bsq_ctx *ctx;
     const struct fmt_nvdb_grid *grid;
-    const struct nvdb_tile *tiles;
-    const struct nvdb_leaf *leaves;
-    uint64_t entry_count;
-    /* For verifying. */
     const uint8_t *file;
     struct nvdb_layout layout;
-    const struct nvdb_trailer *trailer;
+    struct nvdb_trailer trailer; /* only for verifying */
 };
 
 static int bad_node(const struct check *c, const char *level, uint64_t number, const char *what)
@@ -63,10 +59,15 @@ static bool is_upper(const struct nvdb_level *level)
     return level->section == NVDB_UPPERS;
 }
 
+static const void *section_of(const struct check *c, enum nvdb_section section)
+{
+    return c->file + c->layout.section[section].offset;
+}
+
 static const struct nvdb_node *node_of(const struct check *c, const struct nvdb_level *level,
                                        uint64_t number)
 {
-    const uint8_t *nodes = is_upper(level) ? c->grid->uppers : c->grid->lowers;
+    const uint8_t *nodes = section_of(c, level->section);
     return (const void *)(nodes + number * level->node_bytes);
 }
 
@@ -80,7 +81,7 @@ static uint64_t child_count(const struct check *c, const struct nvdb_level *leve
 static uint64_t child_of(const struct check *c, const struct nvdb_level *level,
                          const struct nvdb_node *node, uint32_t slot)
 {
-    const uint8_t *below = is_upper(level) ? c->grid->lowers : c->grid->leaves;
+    const uint8_t *below = section_of(c, level->child_section);
     const uint64_t base = (uint64_t)(below - (const uint8_t *)node);
     const uint64_t distance = (uint64_t)nvdb_table(level, node)[slot] - base;
     return distance % level->child_bytes == 0 ? distance / level->child_bytes : UINT64_MAX;
@@ -127,7 +128,7 @@ static bool same_box(const int32_t a_min[3], const int32_t a_max[3], const int32
 static int check_leaf(const struct check *c, uint64_t number, const int32_t origin[3],
                       int32_t bbox_min[3], int32_t bbox_max[3])
 {
-    const struct nvdb_leaf *leaf = &c->leaves[number];
+    const struct nvdb_leaf *leaf = (const struct nvdb_leaf *)section_of(c, NVDB_LEAVES) + number;
     int32_t leaf_min[3], leaf_max[3];
     uint64_t count = fmt_nvdb_leaf_bounds(origin, leaf->mask, leaf_min, leaf_max);
     if (count == 0)
@@ -197,22 +198,28 @@ static int check_node(const struct check *c, const struct nvdb_level *level, uin
     if (!all_zero(nvdb_value_mask(node), level->words) ||
         first_child(c, level, number) == UINT64_MAX)
         return bad_node(c, level->name, number, "child");
-    if (is_upper(level) && nvdb_root_key(origin) != c->tiles[number].key)
+    const struct nvdb_tile *tiles = (const void *)c->grid->tiles;
+    if (is_upper(level) && nvdb_root_key(origin) != tiles[number].key)
         return bad_node(c, level->name, number, "place");
     return check_children(c, level, number, origin);
+}
+
+/* Returns the number of entries of the channel "second". */
+static uint64_t entry_count(const struct fmt_nvdb_grid *grid)
+{
+    return grid->voxel_count / 32 + 1;
 }
 
 /* Checks that ranks add up from entry to entry, and that bits are set for voxels only. */
 static int check_seconds(const struct check *c, uint64_t task)
 {
     const struct fmt_nvdb_grid *grid = c->grid;
-    uint64_t begin = task * ENTRIES_PER_TASK, end = begin + ENTRIES_PER_TASK;
-    if (end > c->entry_count)
-        end = c->entry_count;
+    const uint64_t count = entry_count(grid), begin = task * ENTRIES_PER_TASK;
+    const uint64_t end = begin + ENTRIES_PER_TASK < count ? begin + ENTRIES_PER_TASK : count;
     uint64_t seconds = grid->record_count - 1 - grid->voxel_count;
     for (uint64_t i = begin; i < end; i++) {
         uint32_t bits = grid->seconds[i][0], beyond = 0;
-        bool last = i + 1 == c->entry_count;
+        bool last = i + 1 == count;
         if (i == 0)
             beyond |= 1;
         if (last && grid->voxel_count % 32 != 31)
@@ -234,7 +241,7 @@ static int check_root(const struct check *c)
     fmt_nvdb_bbox_clear(bbox_min, bbox_max);
     uint64_t child = (uint64_t)(grid->uppers - grid->root);
     for (uint32_t i = 0; i < grid->tile_count; i++) {
-        const struct nvdb_tile *tile = &c->tiles[i];
+        const struct nvdb_tile *tile = (const struct nvdb_tile *)(const void *)grid->tiles + i;
         if ((i > 0 && tile->key <= tile[-1].key) || tile->child != (int64_t)child ||
             !all_zero(tile->values, 2))
             return bsq_fail(c->ctx, BSQ_EDATA, "%s: damaged: root tile %" PRIu32 " is wrong",
@@ -263,17 +270,12 @@ static int check_task(void *arg, uint64_t index, unsigned worker)
 
 int fmt_nvdb_check_nodes(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {
-    struct check c = {
-        .ctx = ctx,
-        .grid = grid,
-        .tiles = (const void *)grid->tiles,
-        .leaves = (const void *)grid->leaves,
-        .entry_count = grid->voxel_count / 32 + 1,
-    };
+    struct check c = {.ctx = ctx, .grid = grid, .file = grid->map.data};
+    fmt_nvdb_layout_of(grid, &c.layout);
     int status = check_root(&c);
     if (status)
         return status;
-    uint64_t tasks = (c.entry_count + ENTRIES_PER_TASK - 1) / ENTRIES_PER_TASK;
+    const uint64_t tasks = (entry_count(grid) + ENTRIES_PER_TASK - 1) / ENTRIES_PER_TASK;
     return bsq_parallel_for(ctx, (uint64_t)grid->lower_count + grid->upper_count + tasks,
                             check_task, &c);
 }
@@ -315,20 +317,18 @@ static int hash_section(const struct check *c, const struct nvdb_range *range, u
 static int verify_section(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
-    const struct check *c = arg;
-    const struct nvdb_range *range = &c->layout.section[index];
+    struct check *c = arg;
+    const int section = (int)index;
+    const struct nvdb_range *range = &c->layout.section[section];
     uint64_t hash = 0;
-    if (nvdb_is_of_ids((int)index) && c->grid->info.ids == BSQ_IDS_NONE)
-        return 0;
-    if (index == NVDB_CHANNELS && c->grid->channel_words == 0)
+    if (!nvdb_has_checksum(nvdb_flags_of(c->grid), section))
         return 0;
     int status = hash_section(c, range, &hash);
     if (status)
         return status;
-    if (hash !=
-        (index == NVDB_CHANNELS ? c->trailer->channels_checksum : c->trailer->checksum[index]))
+    if (hash != *nvdb_checksum(&c->trailer, section))
         return bsq_fail(c->ctx, BSQ_EDATA, "%s: damaged: wrong checksum of %s at byte %llu",
-                        c->grid->map.path, fmt_nvdb_channel((enum nvdb_section)index)->name,
+                        c->grid->map.path, fmt_nvdb_rows[section].name,
                         (unsigned long long)range->offset);
     return 0;
 }
@@ -463,7 +463,7 @@ int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     int status;
     forget_pages(grid, grid->map.data, grid->map.size);
     fmt_nvdb_layout_of(grid, &c.layout);
-    c.trailer = fmt_nvdb_trailer_of(grid, &c.layout);
+    c.trailer = *fmt_nvdb_trailer_of(grid, &c.layout);
     BSQ_TRY(bsq_parallel_for(ctx, NVDB_TRAILER, verify_section, &c));
     BSQ_TRY(verify_padding(&c));
     BSQ_TRY(

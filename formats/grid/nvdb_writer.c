@@ -54,27 +54,16 @@ static int flush(struct nvdb_stream *stream)
     return status;
 }
 
-/* Sets *out to space for `size` <= NVDB_STREAM_BYTES bytes. The caller adds what it writes there to
- * stream->fill. */
-static int reserve(struct nvdb_stream *stream, uint64_t size, void *out)
-{
-    assert(size <= NVDB_STREAM_BYTES);
-    int status = stream->fill + size > NVDB_STREAM_BYTES ? flush(stream) : 0;
-    *(void **)out = stream->buffer + stream->fill;
-    return status;
-}
-
 static int put(struct nvdb_stream *stream, const void *bytes, uint64_t size)
 {
     int status = 0;
     for (uint64_t done = 0, n; done < size && status == 0; done += n) {
-        void *to;
-        n = size - done < NVDB_STREAM_BYTES ? size - done : NVDB_STREAM_BYTES;
-        status = reserve(stream, n, &to);
-        if (status)
-            break;
-        memcpy(to, (const uint8_t *)bytes + done, n);
+        const uint64_t space = NVDB_STREAM_BYTES - stream->fill;
+        n = size - done < space ? size - done : space;
+        memcpy(stream->buffer + stream->fill, (const uint8_t *)bytes + done, n);
         stream->fill += n;
+        if (stream->fill == NVDB_STREAM_BYTES)
+            status = flush(stream);
     }
     return status;
 }
@@ -91,15 +80,12 @@ static int end_stream(struct nvdb_stream *stream)
 /* Opens the streams of a section, unless the grid lacks the section or it does not grow. */
 static int open_streams(struct fmt_nvdb_writer *writer, int section)
 {
-    const struct nvdb_counts *counts = &writer->counts;
-    const char *what = fmt_nvdb_channel((enum nvdb_section)section)->what;
-    if (!what || (section == NVDB_COLORS && !counts->has_color) ||
-        (section == NVDB_IDS && !counts->has_ids) ||
-        (section == NVDB_CHANNELS && counts->channel_words == 0))
+    const struct nvdb_row *row = &fmt_nvdb_rows[section];
+    if (!row->what || !nvdb_has(writer->counts.flags, section))
         return 0;
-    int status = open_stream(writer->ctx, writer->path, what, &writer->stream[section][0]);
-    return status == 0 && nvdb_has_second(section)
-               ? open_stream(writer->ctx, writer->path, what, &writer->stream[section][1])
+    int status = open_stream(writer->ctx, writer->path, row->what, &writer->stream[section][0]);
+    return status == 0 && row->per_record
+               ? open_stream(writer->ctx, writer->path, row->what, &writer->stream[section][1])
                : status;
 }
 
@@ -166,8 +152,7 @@ int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb
     writer->ctx = ctx;
     writer->info = *info;
     writer->counts.type = info->type;
-    writer->counts.has_color = info->has_color;
-    writer->counts.has_ids = info->ids != BSQ_IDS_NONE;
+    writer->counts.flags = nvdb_flags(info->has_color, info->ids, info->channels != NULL);
     fmt_nvdb_bbox_clear(writer->bbox_min, writer->bbox_max);
     BSQ_TRY(bsq_text_copy(ctx, path, &writer->path));
     BSQ_TRY(count_channels(writer));
@@ -366,22 +351,19 @@ static int append_leaves(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_r
     uint64_t value = 1 + writer->counts.voxels;
     struct nvdb_stream *leaves = writer->stream[NVDB_LEAVES];
     for (uint32_t i = 0; i < region->leaf_count; i++) {
-        struct nvdb_leaf *leaf;
-        int status = reserve(leaves, sizeof(*leaf), &leaf);
-        if (status)
-            return status;
+        struct nvdb_leaf leaf = {.flags = NVDB_NODE_HAS_BBOX, .offset = value};
         int32_t origin[3], bbox_max[3];
         leaf_origin(region->origin, region->leaf_ids[i], origin);
-        uint32_t count = fmt_nvdb_leaf_bounds(origin, region->masks[i], leaf->bbox_min, bbox_max);
+        uint32_t count = fmt_nvdb_leaf_bounds(origin, region->masks[i], leaf.bbox_min, bbox_max);
         for (int axis = 0; axis < 3; axis++)
-            leaf->bbox_dif[axis] = (uint8_t)(bbox_max[axis] - leaf->bbox_min[axis]);
-        leaf->flags = NVDB_NODE_HAS_BBOX;
-        memcpy(leaf->mask, region->masks[i], sizeof(leaf->mask));
-        leaf->offset = value;
-        leaf->prefix_sum = fmt_nvdb_prefix_sum(leaf->mask);
-        leaves->fill += sizeof(*leaf);
+            leaf.bbox_dif[axis] = (uint8_t)(bbox_max[axis] - leaf.bbox_min[axis]);
+        memcpy(leaf.mask, region->masks[i], sizeof(leaf.mask));
+        leaf.prefix_sum = fmt_nvdb_prefix_sum(leaf.mask);
+        int status = put(leaves, &leaf, sizeof leaf);
+        if (status)
+            return status;
         value += count;
-        fmt_nvdb_bbox_extend(lower->bbox_min, lower->bbox_max, leaf->bbox_min, bbox_max);
+        fmt_nvdb_bbox_extend(lower->bbox_min, lower->bbox_max, leaf.bbox_min, bbox_max);
         lower->child_mask[region->leaf_ids[i] >> 6] |= UINT64_C(1) << (region->leaf_ids[i] & 63);
     }
     writer->last_leaf = region->leaf_ids[region->leaf_count - 1];
@@ -392,19 +374,15 @@ static int append_leaves(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_r
 static int append_channel(struct nvdb_stream *stream, const struct fmt_nvdb_record *records,
                           uint64_t count, size_t member)
 {
-    const uint64_t most = NVDB_STREAM_BYTES / sizeof(uint32_t);
-    for (uint64_t done = 0; done < count;) {
-        uint64_t n = count - done < most ? count - done : most;
-        uint32_t *to;
-        int status = reserve(stream, n * sizeof *to, &to);
-        if (status)
-            return status;
-        stream->fill += n * sizeof *to;
+    uint32_t some[512];
+    int status = 0;
+    for (uint64_t done = 0, n; done < count && status == 0; done += n) {
+        n = count - done < 512 ? count - done : 512;
         for (uint64_t i = 0; i < n; i++)
-            memcpy(&to[i], (const uint8_t *)&records[done + i] + member, sizeof *to);
-        done += n;
+            memcpy(&some[i], (const uint8_t *)&records[done + i] + member, sizeof *some);
+        status = put(stream, some, n * sizeof *some);
     }
-    return 0;
+    return status;
 }
 
 /* Splits first or second records into channels. values: those of further channels. */
@@ -435,17 +413,10 @@ done:
 /* Writes the open entry of section NVDB_SECONDS. */
 static int end_entry(struct fmt_nvdb_writer *writer)
 {
-    uint32_t *entry;
-    struct nvdb_stream *stream = writer->stream[NVDB_SECONDS];
-    int status = reserve(stream, 8, &entry);
-    if (status)
-        return status;
-    entry[0] = writer->entry_bits;
-    entry[1] = writer->entry_rank;
-    stream->fill += 8;
+    const uint32_t entry[2] = {writer->entry_bits, writer->entry_rank};
     writer->entry_rank += nvdb_popcount(writer->entry_bits);
     writer->entry_bits = 0;
-    return 0;
+    return put(writer->stream[NVDB_SECONDS], entry, sizeof entry);
 }
 
 /* Returns a bit for each of up to 32 records: whether its voxel has a second one. */

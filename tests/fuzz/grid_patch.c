@@ -189,17 +189,9 @@ static bool is_touched(const struct grid_template *t, const struct nvdb_range *r
 
 /* ---- changes that keep the tree valid ---- */
 
-static struct nvdb_grid_data *grid_data(const struct grid_template *t)
+static struct nvdb_fixed *head(const struct grid_template *t)
 {
-    return (void *)(t->bytes + FMT_NVDB_GRID_OFFSET);
-}
-static struct nvdb_tree_data *tree_data(const struct grid_template *t)
-{
-    return (void *)(t->bytes + FMT_NVDB_GRID_OFFSET + sizeof(struct nvdb_grid_data));
-}
-static struct nvdb_root *root_data(const struct grid_template *t)
-{
-    return (void *)(t->bytes + t->layout.root);
+    return (void *)t->bytes;
 }
 static void *nodes(const struct grid_template *t, enum nvdb_section section)
 {
@@ -233,7 +225,7 @@ static void move_grid(struct grid_template *t, uint32_t axis, uint32_t uppers)
     struct nvdb_lower *lower = nodes(t, NVDB_LOWERS);
     struct nvdb_leaf *leaf = nodes(t, NVDB_LEAVES);
     struct nvdb_tile *tile = (void *)(t->bytes + t->layout.tiles);
-    struct nvdb_root *root = root_data(t);
+    struct nvdb_root *root = &head(t)->root;
     touch_bounds(t);
     fmt_nvdb_bbox_clear(root->bbox_min, root->bbox_max);
     for (uint64_t i = 0; i < node_count(t, NVDB_LEAVES, sizeof *leaf); i++)
@@ -255,7 +247,7 @@ static void scale_grid(const struct grid_template *t, uint64_t bits)
     double size;
     memcpy(&size, &bits, sizeof size);
     for (int i = 0; i < 9; i += 4)
-        grid_data(t)->map.matrix[i] = size;
+        head(t)->grid.map.matrix[i] = size;
 }
 
 /* Computes the bounds of all nodes above the leaves. */
@@ -264,7 +256,7 @@ static void join_bounds(const struct grid_template *t)
     struct nvdb_upper *upper = nodes(t, NVDB_UPPERS);
     struct nvdb_lower *lower = nodes(t, NVDB_LOWERS);
     struct nvdb_leaf *leaf = nodes(t, NVDB_LEAVES);
-    struct nvdb_root *root = root_data(t);
+    struct nvdb_root *root = &head(t)->root;
     fmt_nvdb_bbox_clear(root->bbox_min, root->bbox_max);
     for (uint64_t u = 0; u < node_count(t, NVDB_UPPERS, sizeof *upper); u++) {
         fmt_nvdb_bbox_clear(upper[u].bbox_min, upper[u].bbox_max);
@@ -364,7 +356,7 @@ static void change(struct grid_template *t, struct cursor *from, uint64_t *size)
     case SHIFT:
         a = take(from, 1) % 3;
         b = take(from, 8);
-        memcpy(&grid_data(t)->map.translation[a], &b, sizeof b);
+        memcpy(&head(t)->grid.map.translation[a], &b, sizeof b);
         break;
     case MOVE_BIT:
         a = take(from, 2);
@@ -380,17 +372,17 @@ static void change(struct grid_template *t, struct cursor *from, uint64_t *size)
 /* Makes the head again up to its tiles, for a grid that was moved or scaled. */
 static void remake_head(const struct grid_template *t)
 {
-    const struct nvdb_tree_data *tree = tree_data(t);
-    const struct nvdb_root root = *root_data(t);
-    struct fmt_nvdb_info info = {.voxel_size = grid_data(t)->map.matrix[0]};
-    struct nvdb_counts counts = {.type = (enum fmt_nvdb_type)grid_data(t)->grid_type,
+    const struct nvdb_tree_data *tree = &head(t)->tree;
+    const struct nvdb_root root = head(t)->root;
+    struct fmt_nvdb_info info = {.voxel_size = head(t)->grid.map.matrix[0]};
+    struct nvdb_counts counts = {.type = (enum fmt_nvdb_type)head(t)->grid.grid_type,
                                  .uppers = tree->node_count[2],
                                  .lowers = tree->node_count[1],
                                  .leaves = tree->node_count[0],
                                  .voxels = tree->voxel_count};
-    memcpy(info.translation, grid_data(t)->map.translation, sizeof info.translation);
+    memcpy(info.translation, head(t)->grid.map.translation, sizeof info.translation);
     fmt_nvdb_fill_fixed(&info, &counts, &t->layout, root.bbox_min, root.bbox_max, t->bytes);
-    grid_data(t)->checksum[1] = UINT32_MAX;
+    head(t)->grid.checksum[1] = UINT32_MAX;
 }
 
 /* Corrects the file header, which repeats parts of GridData, and all checksums. */
@@ -403,14 +395,12 @@ static void mend(struct grid_template *t)
     if (t->remake)
         remake_head(t);
     else
-        fmt_nvdb_fill_file_head(grid_data(t), tree_data(t), root_data(t), t->bytes);
-    grid_data(t)->checksum[0] = fmt_nvdb_head_crc(t->bytes, layout);
+        fmt_nvdb_fill_file_head(head(t));
+    head(t)->grid.checksum[0] = fmt_nvdb_head_crc(t->bytes, layout);
     for (int i = 0; i < NVDB_TRAILER; i++) {
         const struct nvdb_range *range = &layout->section[i];
-        uint64_t *checksum =
-            i == NVDB_CHANNELS ? &trailer->channels_checksum : &trailer->checksum[i];
         if (is_touched(t, range))
-            *checksum = XXH3_64bits(t->bytes + range->offset, range->size);
+            *nvdb_checksum(trailer, i) = XXH3_64bits(t->bytes + range->offset, range->size);
     }
     trailer->trailer_checksum = fmt_nvdb_trailer_checksum(trailer);
 }

@@ -75,7 +75,7 @@ def make(random):
         has_color=bool(random.integers(0, 2)), normal=normal, plane=plane, color=color,
         voxel_size=float(random.choice([1, 0.1, 3e-39, 1e39, 7e-308, 5e307])),
         translation=[float(t) for t in random.choice([0, -0.5, 1e6 / 3, 1e-320, -1e300], 3)],
-        scan_bounds=random.normal(0, 1, 6), triangles=int(random.integers(0, 1 << 62)))
+        scan_bounds=numpy.sort(random.normal(0, 1, 6)), triangles=int(random.integers(0, 1 << 62)))
 
 
 # ---- nodes ----

@@ -105,6 +105,8 @@ def _read_trailer(data, grid):
     grid.words = grid.head_bytes = 0
     grid.scan_bounds = fields(trailer, 32, "6d")
     need(is_finite(grid.scan_bounds), "bounds of the high-poly mesh are not finite")
+    need(all(grid.scan_bounds[k] <= grid.scan_bounds[3 + k] for k in range(3)),
+         "bounds of the high-poly mesh are inverted")
     grid.checksums = fields(trailer, 80, "11Q")
     grid.name_bytes, = fields(trailer, 168, "Q")
     grid.channels_checksum, = fields(trailer, 176, "Q")
