@@ -46,7 +46,7 @@ const struct bsq_channel *bsq_channel_at(unsigned number)
 }
 
 /* Finds the row of a name of `length` bytes. */
-static const struct bsq_channel *find(const char *name, uint64_t length)
+static const struct bsq_channel *channel_find(const char *name, uint64_t length)
 {
     static const struct bsq_channel other = {.name = "", .values = 3};
     for (unsigned i = 0; i < CHANNELS; i++)
@@ -57,7 +57,7 @@ static const struct bsq_channel *find(const char *name, uint64_t length)
 
 const struct bsq_channel *bsq_channel_find(const char *name)
 {
-    return find(name, strlen(name));
+    return channel_find(name, strlen(name));
 }
 
 static bool is_name(const char *name, uint64_t length)
@@ -86,7 +86,7 @@ bool bsq_is_map_name(const char *name)
 }
 
 /* Returns the length of the name at the start of the rest of a list. */
-static uint64_t name_length(const char *rest, uint64_t bytes)
+static uint64_t channel_name_length(const char *rest, uint64_t bytes)
 {
     const char *comma = memchr(rest, ',', bytes);
     return comma ? (uint64_t)(comma - rest) : bytes;
@@ -96,8 +96,8 @@ uint32_t bsq_channel_list_values(const char *list, uint64_t bytes)
 {
     uint32_t values = 0;
     for (uint64_t at = 0; at <= bytes;) {
-        const uint64_t length = name_length(list + at, bytes - at);
-        values += find(list + at, length)->values;
+        const uint64_t length = channel_name_length(list + at, bytes - at);
+        values += channel_find(list + at, length)->values;
         if (!is_name(list + at, length) || values > BSQ_CHANNEL_VALUES_MAX)
             return 0;
         at += length + 1;
@@ -127,8 +127,8 @@ const struct bsq_channel *bsq_channel_list_find(const char *list, uint64_t bytes
 {
     *first = 0;
     for (uint64_t at = 0; at <= bytes;) {
-        const uint64_t length = name_length(list + at, bytes - at);
-        const struct bsq_channel *channel = find(list + at, length);
+        const uint64_t length = channel_name_length(list + at, bytes - at);
+        const struct bsq_channel *channel = channel_find(list + at, length);
         if (length == strlen(name) && memcmp(list + at, name, length) == 0)
             return channel;
         *first += channel->values;

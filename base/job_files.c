@@ -62,7 +62,7 @@ static void find_missing(const char *path, struct place *out)
     free(end);
 }
 
-static struct place find_place(const char *path)
+static struct place files_find_place(const char *path)
 {
     struct place place = {0};
     struct stat info;
@@ -81,7 +81,7 @@ static bool same_place(const struct place *a, const struct place *b)
 
 bool bsq_same_file(const char *a, const char *b)
 {
-    struct place places[2] = {find_place(a), find_place(b)};
+    struct place places[2] = {files_find_place(a), files_find_place(b)};
     const bool same = same_place(&places[0], &places[1]);
     free(places[0].name);
     free(places[1].name);
@@ -90,7 +90,7 @@ bool bsq_same_file(const char *a, const char *b)
 
 /* ---- the lists ---- */
 
-static int fail_memory(struct bsq_ctx *ctx, const char *path)
+static int files_fail_memory(struct bsq_ctx *ctx, const char *path)
 {
     bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", path);
     return BSQ_ENOMEM;
@@ -125,10 +125,10 @@ static void free_files(struct bsq_ctx *ctx, void *object)
 }
 
 /* Makes the lists if there are none. */
-static int begin(struct bsq_ctx *ctx, const char *path)
+static int files_begin(struct bsq_ctx *ctx, const char *path)
 {
     const struct job_files *files = bsq_member_of(ctx, BSQ_JOB_FILES, sizeof *files, free_files);
-    return files ? 0 : fail_memory(ctx, path);
+    return files ? 0 : files_fail_memory(ctx, path);
 }
 
 /* Returns the lists, or NULL if no file was noted yet. */
@@ -138,7 +138,7 @@ static struct job_files *files_of(struct bsq_ctx *ctx)
 }
 
 /* Sets *out to the file with this path, which is added if it is new. */
-static int add(struct bsq_ctx *ctx, struct list *list, const char *path, struct noted **out)
+static int files_add(struct bsq_ctx *ctx, struct list *list, const char *path, struct noted **out)
 {
     struct bsq_tally *tally = &files_of(ctx)->tally;
     const uint64_t count = list->paths.count;
@@ -149,7 +149,7 @@ static int add(struct bsq_ctx *ctx, struct list *list, const char *path, struct 
     BSQ_TRY(bsq_texts_add(ctx, tally, &list->paths, path, &number));
     *out = &list->files[number];
     if (number == count)
-        **out = (struct noted){.path = list->paths.list[number], .place = find_place(path)};
+        **out = (struct noted){.path = list->paths.list[number], .place = files_find_place(path)};
 done:
     return status;
 }
@@ -158,7 +158,7 @@ done:
 
 /* Compares an input with all outputs. One that was written counts before others that were noted
  * under other names of the same file. */
-static int check_input(struct bsq_ctx *ctx, struct noted *input)
+static int files_check_input(struct bsq_ctx *ctx, struct noted *input)
 {
     const struct list *outputs = &files_of(ctx)->outputs;
     const struct noted *same = NULL;
@@ -182,7 +182,7 @@ static int set_role(struct bsq_ctx *ctx, struct noted *input, const char *format
         return 0;
     if (vasprintf(&input->role, format, arguments) < 0) {
         input->role = NULL;
-        return fail_memory(ctx, input->path);
+        return files_fail_memory(ctx, input->path);
     }
     return bsq_tally_add(ctx, &files_of(ctx)->tally, strlen(input->role) + 1);
 }
@@ -194,10 +194,10 @@ int bsq_note_input(struct bsq_ctx *ctx, const char *path, const char *format, ..
     int status;
     va_start(arguments, format);
     pthread_mutex_lock(&ctx->members_lock);
-    BSQ_TRY(begin(ctx, path));
-    BSQ_TRY(add(ctx, &files_of(ctx)->inputs, path, &input));
+    BSQ_TRY(files_begin(ctx, path));
+    BSQ_TRY(files_add(ctx, &files_of(ctx)->inputs, path, &input));
     BSQ_TRY(set_role(ctx, input, format, arguments));
-    BSQ_TRY(check_input(ctx, input));
+    BSQ_TRY(files_check_input(ctx, input));
 done:
     pthread_mutex_unlock(&ctx->members_lock);
     va_end(arguments);
@@ -220,9 +220,9 @@ int bsq_hold_input(struct bsq_ctx *ctx, const char *path, const struct bsq_ident
     struct noted *input;
     int status;
     pthread_mutex_lock(&ctx->members_lock);
-    BSQ_TRY(begin(ctx, path));
-    BSQ_TRY(add(ctx, &files_of(ctx)->inputs, path, &input));
-    BSQ_TRY(check_input(ctx, input));
+    BSQ_TRY(files_begin(ctx, path));
+    BSQ_TRY(files_add(ctx, &files_of(ctx)->inputs, path, &input));
+    BSQ_TRY(files_check_input(ctx, input));
     if (!input->opened) {
         input->opened = true;
         input->found = *found;
@@ -247,7 +247,7 @@ int bsq_next_input(struct bsq_ctx *ctx, uint64_t *next, struct bsq_noted_input *
                                         .opened = input->opened,
                                         .own = input->own,
                                         .found = input->found};
-        status = out->path && out->role ? 1 : fail_memory(ctx, input->path);
+        status = out->path && out->role ? 1 : files_fail_memory(ctx, input->path);
     }
     pthread_mutex_unlock(&ctx->members_lock);
     if (status < 0)
@@ -268,7 +268,7 @@ void bsq_noted_input_free(struct bsq_noted_input *input)
 static void look_again(struct noted *output, bool written)
 {
     free(output->place.name);
-    output->place = find_place(output->path);
+    output->place = files_find_place(output->path);
     output->written = written;
 }
 
@@ -277,8 +277,8 @@ int bsq_note_output(struct bsq_ctx *ctx, const char *path)
     struct noted *output;
     int status;
     pthread_mutex_lock(&ctx->members_lock);
-    BSQ_TRY(begin(ctx, path));
-    BSQ_TRY(add(ctx, &files_of(ctx)->outputs, path, &output));
+    BSQ_TRY(files_begin(ctx, path));
+    BSQ_TRY(files_add(ctx, &files_of(ctx)->outputs, path, &output));
     look_again(output, false);
     for (uint64_t i = 0; i < files_of(ctx)->inputs.paths.count; i++) {
         const struct noted *input = &files_of(ctx)->inputs.files[i];

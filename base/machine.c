@@ -31,7 +31,7 @@ static void for_each_line(const char *path, void (*fn)(void *arg, char *line), v
 /* ---- the files of one group ---- */
 
 /* Reads up to two numbers of root/directory/name. Returns how many there are; "max" is none. */
-static int read_numbers(const char *directory, const char *name, long long numbers[2])
+static int machine_read_numbers(const char *directory, const char *name, long long numbers[2])
 {
     char *path = NULL;
     int count = 0;
@@ -49,7 +49,7 @@ static int read_numbers(const char *directory, const char *name, long long numbe
 static void limit_memory(struct bsq_machine *machine, const char *directory, const char *name)
 {
     long long numbers[2];
-    if (read_numbers(directory, name, numbers) > 0 && numbers[0] >= 0 &&
+    if (machine_read_numbers(directory, name, numbers) > 0 && numbers[0] >= 0 &&
         (uint64_t)numbers[0] < machine->memory_bytes)
         machine->memory_bytes = (uint64_t)numbers[0];
 }
@@ -70,10 +70,10 @@ static void apply_group(struct bsq_machine *machine, const char *directory)
     limit_memory(machine, directory, "memory.max");
     limit_memory(machine, directory, "memory.high");
     limit_memory(machine, directory, "memory.limit_in_bytes");
-    if (read_numbers(directory, "cpu.max", quota) == 2)
+    if (machine_read_numbers(directory, "cpu.max", quota) == 2)
         limit_processors(machine, quota[0], quota[1]);
-    if (read_numbers(directory, "cpu.cfs_quota_us", quota) > 0 &&
-        read_numbers(directory, "cpu.cfs_period_us", period) > 0)
+    if (machine_read_numbers(directory, "cpu.cfs_quota_us", quota) > 0 &&
+        machine_read_numbers(directory, "cpu.cfs_period_us", period) > 0)
         limit_processors(machine, quota[0], period[0]);
 }
 

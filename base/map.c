@@ -130,7 +130,7 @@ static struct bsq_map_range *find_free(void)
     return range;
 }
 
-static void set_range(struct bsq_map_range *range, uintptr_t start, uintptr_t end)
+static void map_set_range(struct bsq_map_range *range, uintptr_t start, uintptr_t end)
 {
     atomic_fetch_add(&range->version, 1);
     atomic_store(&range->start, start);
@@ -149,7 +149,7 @@ static struct bsq_map_range *watch(const void *data, uint64_t size)
         uintptr_t start = (uintptr_t)data;
         install();
         atomic_store(&range->lost, false);
-        set_range(range, start, (start + size + page_bytes - 1) & ~(page_bytes - 1));
+        map_set_range(range, start, (start + size + page_bytes - 1) & ~(page_bytes - 1));
     }
     if (added) {
         added->next = atomic_load(&ranges);
@@ -162,7 +162,7 @@ static struct bsq_map_range *watch(const void *data, uint64_t size)
 static void unwatch(struct bsq_map_range *range)
 {
     pthread_mutex_lock(&lock);
-    set_range(range, 0, 0);
+    map_set_range(range, 0, 0);
     uninstall();
     pthread_mutex_unlock(&lock);
 }

@@ -268,8 +268,8 @@ uint64_t bsq_block_cost(uint64_t bytes)
     return is_large(bytes) ? bytes : bsq_align_up(bytes + OVERHEAD + MALLOC_HEADER, MALLOC_STEP);
 }
 
-static int allocate(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size,
-                    bool zeroed, void *out)
+static int memory_allocate(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size,
+                           bool zeroed, void *out)
 {
     set_pointer(out, NULL);
     uint64_t bytes;
@@ -296,12 +296,12 @@ static int allocate(struct bsq_ctx *ctx, const char *what, uint64_t count, uint6
 
 int(bsq_alloc)(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *out)
 {
-    return allocate(ctx, what, count, size, false, out);
+    return memory_allocate(ctx, what, count, size, false, out);
 }
 
 int(bsq_calloc)(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *out)
 {
-    return allocate(ctx, what, count, size, true, out);
+    return memory_allocate(ctx, what, count, size, true, out);
 }
 
 static void free_block(void *payload)

@@ -22,7 +22,7 @@
 /* Bytes written to the disk between two checks of the interruption flag. */
 #define SYNC_BYTES (UINT64_C(32) << 20)
 
-static int fail_memory(struct bsq_ctx *ctx, const char *path)
+static int output_fail_memory(struct bsq_ctx *ctx, const char *path)
 {
     return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", path);
 }
@@ -91,7 +91,7 @@ static int check_replaceable(struct bsq_ctx *ctx, const char *path, const char *
     return error ? bsq_fail_errno(ctx, BSQ_ECANTCREAT, error, "%s: cannot be replaced", path) : 0;
 }
 
-static int find_target(struct bsq_ctx *ctx, const char *path, char **out)
+static int output_find_target(struct bsq_ctx *ctx, const char *path, char **out)
 {
     struct stat old;
     bool exists = stat(path, &old) == 0;
@@ -189,7 +189,7 @@ static int create_temp(struct bsq_output *output)
 
 /* Fails with what the system says, which does not tell a missing folder from other missing names.
  */
-static int fail_create(const struct bsq_output *output, const char *path, int error)
+static int output_fail_create(const struct bsq_output *output, const char *path, int error)
 {
     if (error == ENOENT && access(output->directory, F_OK) < 0)
         return bsq_fail(output->ctx, BSQ_ECANTCREAT, "%s: cannot be created: there is no folder %s",
@@ -203,13 +203,13 @@ int bsq_output_open(struct bsq_ctx *ctx, const char *path, struct bsq_output **o
     char *target = NULL;
     int status = bsq_note_output(ctx, path);
     if (status == 0)
-        status = find_target(ctx, path, &target);
+        status = output_find_target(ctx, path, &target);
     if (!target)
         return status;
     struct bsq_output *output = calloc(1, sizeof *output);
     if (!output) {
         free(target);
-        return fail_memory(ctx, path);
+        return output_fail_memory(ctx, path);
     }
     output->ctx = ctx;
     output->fd = output->directory_fd = -1;
@@ -218,7 +218,7 @@ int bsq_output_open(struct bsq_ctx *ctx, const char *path, struct bsq_output **o
     output->directory = bsq_dirname(target);
     int error = output->noted && output->directory ? create_temp(output) : ENOMEM;
     if (error) {
-        status = fail_create(output, path, error);
+        status = output_fail_create(output, path, error);
         free_output(output);
         return status;
     }
@@ -233,7 +233,7 @@ int bsq_output_open_temp(struct bsq_ctx *ctx, const char *beside, const char *wh
     *out = NULL;
     struct bsq_output *output = calloc(1, sizeof *output);
     if (!output)
-        return fail_memory(ctx, what);
+        return output_fail_memory(ctx, what);
     int status = bsq_file_temp(ctx, beside, what, &file);
     if (status < 0) {
         free(output);

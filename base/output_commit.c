@@ -17,7 +17,7 @@
 #include "base/job_files.h"
 #include "base/output_internal.h"
 
-static int fail_create(struct bsq_output *output, int error)
+static int commit_fail_create(struct bsq_output *output, int error)
 {
     return bsq_fail_errno(output->ctx, BSQ_ECANTCREAT, error, "%s: cannot be created",
                           output->path);
@@ -54,7 +54,7 @@ static int copy_to_named(struct bsq_output *output)
                                &output->temp_path, &output->fd);
     if (error) {
         output->fd = unnamed.fd;
-        return fail_create(output, error);
+        return commit_fail_create(output, error);
     }
     atomic_store_explicit(&output->synced, false, memory_order_relaxed);
     int status = copy_whole(output, &unnamed, (uint64_t)info.st_size);
@@ -74,7 +74,7 @@ static int name_temp(struct bsq_output *output)
     error = bsq_temp_link(output->fd, output->directory, bsq_file_name(output->path),
                           &output->temp_path);
     if (error == ENOSPC || error == EDQUOT || error == EIO || error == ENOMEM || error == EROFS)
-        return fail_create(output, error);
+        return commit_fail_create(output, error);
     return error ? copy_to_named(output) : 0;
 }
 
@@ -127,7 +127,7 @@ static int give_name(struct bsq_output *output, bool last)
         error = rename_retrying(output->temp_path, output->path, 0);
     }
     if (error)
-        return fail_create(output, error);
+        return commit_fail_create(output, error);
     if (!output->exchanged)
         forget_temp_name(output);
     return 0;
@@ -150,7 +150,7 @@ static int open_directory(struct bsq_output *output)
 {
     output->directory_fd = bsq_open(output->directory, O_RDONLY | O_DIRECTORY, 0);
     if (output->directory_fd < 0 && errno != EACCES) /* it may be writable but not readable */
-        return fail_create(output, errno);
+        return commit_fail_create(output, errno);
     return 0;
 }
 
@@ -170,7 +170,7 @@ static int sync_directory(struct bsq_output *output)
 /* ---- commit ---- */
 
 /* Does all that may fail for want of space or descriptors. Opens each directory once. */
-static int prepare(struct bsq_output *const *outputs, unsigned count)
+static int commit_prepare(struct bsq_output *const *outputs, unsigned count)
 {
     int status = 0;
     for (unsigned i = 0; i < count; i++)
@@ -202,7 +202,7 @@ static int give_names(struct bsq_output *const *outputs, unsigned count)
  * gone. fsync() has reported what close() could report. */
 static int commit_all(struct bsq_output *const *outputs, unsigned count)
 {
-    int status = prepare(outputs, count);
+    int status = commit_prepare(outputs, count);
     if (status == 0)
         status = give_names(outputs, count);
     for (unsigned i = 0; status == 0 && i < count; i++) {

@@ -35,21 +35,21 @@ static void free_map(struct bsq_ctx *ctx, void *object)
     free(map);
 }
 
-static bool is_separator(enum bsq_path_format format, char c)
+static bool rules_is_separator(enum bsq_path_format format, char c)
 {
     return c == '/' || (format == BSQ_PATH_WINDOWS && c == '\\');
 }
 
-static char lower(char c)
+static char rules_lower(char c)
 {
     return c >= 'A' && c <= 'Z' ? (char)(c - 'A' + 'a') : c;
 }
 
 static bool same_character(enum bsq_path_format format, char a, char b)
 {
-    if (is_separator(format, a) && is_separator(format, b))
+    if (rules_is_separator(format, a) && rules_is_separator(format, b))
         return true;
-    return format == BSQ_PATH_WINDOWS ? lower(a) == lower(b) : a == b;
+    return format == BSQ_PATH_WINDOWS ? rules_lower(a) == rules_lower(b) : a == b;
 }
 
 /* Returns whether a path is the rule's source or lies below it. */
@@ -59,10 +59,10 @@ static bool fits(const struct rule *rule, const char *path)
         if (path[i] == '\0' || !same_character(rule->format, rule->source[i], path[i]))
             return false;
     const char next = path[rule->length];
-    return next == '\0' || is_separator(rule->format, next);
+    return next == '\0' || rules_is_separator(rule->format, next);
 }
 
-static int add_rule(struct bsq_path_map *map, const struct rule *rule)
+static int rules_add_rule(struct bsq_path_map *map, const struct rule *rule)
 {
     struct rule *rules = reallocarray(map->rules, map->rule_count + 1, sizeof *rules);
     size_t at = 0;
@@ -83,13 +83,13 @@ int bsq_add_path_rule(struct bsq_ctx *ctx, enum bsq_path_format format, const ch
     struct rule rule = {.format = format, .length = strlen(source)};
     if (rule.length == 0)
         return bsq_fail(ctx, BSQ_EDATA, "a rule for paths has an empty source");
-    while (rule.length > 0 && is_separator(format, source[rule.length - 1]))
+    while (rule.length > 0 && rules_is_separator(format, source[rule.length - 1]))
         rule.length--;
     rule.source = strdup(source);
     rule.destination = strdup(destination);
     pthread_mutex_lock(&ctx->members_lock);
     struct bsq_path_map *map = bsq_member_of(ctx, BSQ_PATH_MAP, sizeof *map, free_map);
-    const int error = rule.source && rule.destination && map ? add_rule(map, &rule) : ENOMEM;
+    const int error = rule.source && rule.destination && map ? rules_add_rule(map, &rule) : ENOMEM;
     pthread_mutex_unlock(&ctx->members_lock);
     if (error == 0)
         return 0;
@@ -100,12 +100,12 @@ int bsq_add_path_rule(struct bsq_ctx *ctx, enum bsq_path_format format, const ch
 
 /* Returns the destination and what follows the source in the path, with "/" between components.
  * NULL if there is no memory. */
-static char *replace(const struct rule *rule, const char *path)
+static char *rules_replace(const struct rule *rule, const char *path)
 {
     const char *rest = path + rule->length;
     const size_t length = strlen(rule->destination);
     size_t kept = length;
-    while (is_separator(rule->format, *rest))
+    while (rules_is_separator(rule->format, *rest))
         rest++;
     while (kept > 0 && rule->destination[kept - 1] == '/')
         kept--;
@@ -119,16 +119,17 @@ static char *replace(const struct rule *rule, const char *path)
     char *end = mempcpy(out, rule->destination, kept);
     *end++ = '/';
     for (; *rest; rest++)
-        *end++ = is_separator(rule->format, *rest) ? '/' : *rest;
+        *end++ = rules_is_separator(rule->format, *rest) ? '/' : *rest;
     *end = '\0';
     return out;
 }
 
 /* Sets *out to a kept copy of the mapped path. Errors: BSQ_ENOMEM. */
-static int keep(struct bsq_ctx *ctx, const struct rule *rule, const char *path, const char **out)
+static int rules_keep(struct bsq_ctx *ctx, const struct rule *rule, const char *path,
+                      const char **out)
 {
     struct bsq_path_map *map = ctx->members[BSQ_PATH_MAP].object;
-    char *mapped = replace(rule, path);
+    char *mapped = rules_replace(rule, path);
     uint64_t number = 0;
     int status = mapped ? bsq_texts_add(ctx, &map->tally, &map->mapped, mapped, &number)
                         : bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", path);
@@ -146,7 +147,7 @@ const char *bsq_map_path(struct bsq_ctx *ctx, const char *name)
     while (map && i < map->rule_count && !fits(&map->rules[i], name))
         i++;
     if (map && i < map->rule_count)
-        (void)keep(ctx, &map->rules[i], name, &out); /* NULL tells of the failure */
+        (void)rules_keep(ctx, &map->rules[i], name, &out); /* NULL tells of the failure */
     pthread_mutex_unlock(&ctx->members_lock);
     return out;
 }

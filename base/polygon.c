@@ -100,8 +100,8 @@ static struct vector newell_normal(const double (*positions)[3], uint32_t n)
 
 /* Returns twice the area of triangle a b c seen along `normal`, times the length of `normal`. It is
  * positive if the triangle turns as the polygon does. */
-static double turn(const double (*positions)[3], struct vector normal, uint32_t a, uint32_t b,
-                   uint32_t c)
+static double polygon_turn(const double (*positions)[3], struct vector normal, uint32_t a,
+                           uint32_t b, uint32_t c)
 {
     return dot(normal, cross(difference(positions[b], positions[a]),
                              difference(positions[c], positions[a])));
@@ -110,21 +110,21 @@ static double turn(const double (*positions)[3], struct vector normal, uint32_t 
 static double turn_at(const struct ring *ring, uint32_t corner)
 {
     const struct corner *c = &ring->corners[corner];
-    return turn(ring->positions, ring->normal, c->previous, corner, c->next);
+    return polygon_turn(ring->positions, ring->normal, c->previous, corner, c->next);
 }
 
-static void put(uint32_t *triangle, uint32_t a, uint32_t b, uint32_t c)
+static void polygon_put(uint32_t *triangle, uint32_t a, uint32_t b, uint32_t c)
 {
     triangle[0] = a;
     triangle[1] = b;
     triangle[2] = c;
 }
 
-static int make_fan(struct bsq_ctx *ctx, uint32_t n, uint32_t *triangles)
+static int polygon_make_fan(struct bsq_ctx *ctx, uint32_t n, uint32_t *triangles)
 {
     int status = 0;
     for (uint32_t i = 0; i + 2 < n && status == 0; i++) {
-        put(triangles + 3 * (uint64_t)i, 0, i + 1, i + 2);
+        polygon_put(triangles + 3 * (uint64_t)i, 0, i + 1, i + 2);
         status = bsq_check_corner(ctx, i);
     }
     return status;
@@ -134,12 +134,13 @@ static int make_fan(struct bsq_ctx *ctx, uint32_t n, uint32_t *triangles)
 static void split_quad(const double (*positions)[3], uint32_t *triangles)
 {
     struct vector normal = newell_normal(positions, 4);
-    if (turn(positions, normal, 0, 1, 2) < 0 || turn(positions, normal, 2, 3, 0) < 0) {
-        put(triangles, 1, 2, 3);
-        put(triangles + 3, 1, 3, 0);
+    if (polygon_turn(positions, normal, 0, 1, 2) < 0 ||
+        polygon_turn(positions, normal, 2, 3, 0) < 0) {
+        polygon_put(triangles, 1, 2, 3);
+        polygon_put(triangles + 3, 1, 3, 0);
     } else {
-        put(triangles, 0, 1, 2);
-        put(triangles + 3, 0, 2, 3);
+        polygon_put(triangles, 0, 1, 2);
+        polygon_put(triangles + 3, 0, 2, 3);
     }
 }
 
@@ -222,7 +223,7 @@ static int clip_ears(struct bsq_ctx *ctx, struct ring *ring, uint32_t *triangles
             continue;
         }
         const uint32_t next = ring->corners[ear].next;
-        put(triangles, ring->corners[ear].previous, ear, next);
+        polygon_put(triangles, ring->corners[ear].previous, ear, next);
         triangles += 3;
         clip(ring, ear);
         ear = ring->corners[next].next;
@@ -231,7 +232,7 @@ static int clip_ears(struct bsq_ctx *ctx, struct ring *ring, uint32_t *triangles
         if (ring->size % 64 == 0)
             BSQ_TRY(bsq_check(ctx));
     }
-    put(triangles, ring->corners[ear].previous, ear, ring->corners[ear].next);
+    polygon_put(triangles, ring->corners[ear].previous, ear, ring->corners[ear].next);
 done:
     return status;
 }
@@ -270,7 +271,7 @@ int bsq_triangulate(struct bsq_ctx *ctx, const double (*positions)[3], uint32_t 
         return 0;
     }
     if (n == 3)
-        return make_fan(ctx, n, triangles);
+        return polygon_make_fan(ctx, n, triangles);
     struct ring ring = {.positions = positions,
                         .normal = newell_normal(positions, n),
                         .size = n,
@@ -280,6 +281,6 @@ int bsq_triangulate(struct bsq_ctx *ctx, const double (*positions)[3], uint32_t 
     if (status < 0)
         return status;
     if (ring.blocker_count == 0 || dot(ring.normal, ring.normal) == 0)
-        return make_fan(ctx, n, triangles);
+        return polygon_make_fan(ctx, n, triangles);
     return clip_ears(ctx, &ring, triangles);
 }

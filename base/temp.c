@@ -66,7 +66,7 @@ static int new_path(const char *directory, const char *name, char **path)
 
 /* Returns the length of the name from which new_path() can have made `entry`, and which follows the
  * first character; 0: it has not made it. */
-static size_t name_length(const char *entry)
+static size_t temp_name_length(const char *entry)
 {
     struct ending ending = {"."};
     const size_t others = 1 + sizeof ending.text - 1, all = strlen(entry);
@@ -143,7 +143,7 @@ static int list_names(struct bsq_ctx *ctx, struct bsq_tally *tally, DIR *list,
     int status = 0;
     uint64_t number;
     for (struct dirent *entry; status == 0 && (entry = readdir(list));)
-        if (name_length(entry->d_name) > 0)
+        if (temp_name_length(entry->d_name) > 0)
             status = bsq_texts_add(ctx, tally, names, entry->d_name, &number);
     return status == 0 ? 0 : ENOMEM;
 }
@@ -183,7 +183,7 @@ static void remove_leftovers(const struct swept *swept, const char *directory, c
     int fd = -1;
     for (uint64_t i = 0; i < swept->names.count; i++) {
         const char *entry = swept->names.list[i];
-        if (strncmp(entry + 1, name, length) != 0 || name_length(entry) != length)
+        if (strncmp(entry + 1, name, length) != 0 || temp_name_length(entry) != length)
             continue;
         if (fd < 0)
             fd = bsq_open(directory, O_RDONLY | O_DIRECTORY, 0);

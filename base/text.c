@@ -18,7 +18,7 @@ locale_t bsq_plain_numbers(void)
 
 /* Decodes the UTF-8 character at `text` (RFC 3629, section 4). Returns its bytes; 0 if it is not
  * valid. */
-static int decode(const unsigned char *text, uint32_t *character)
+static int text_decode(const unsigned char *text, uint32_t *character)
 {
     static const uint32_t least[5] = {0, 0, 0x80, 0x800, 0x10000};
     const int bytes = text[0] < 0x80             ? 1
@@ -54,7 +54,7 @@ char *bsq_escape(const char *text, bool keep_newlines)
     const unsigned char *from = (const unsigned char *)text;
     while (escaped && *from) {
         uint32_t character;
-        int bytes = decode(from, &character);
+        int bytes = text_decode(from, &character);
         bool shown = bytes > 0 && !is_control(character);
         if (shown || (*from == '\n' && keep_newlines)) {
             memcpy(to, from, (size_t)bytes);
@@ -125,7 +125,7 @@ int bsq_text_copy(struct bsq_ctx *ctx, const char *text, char **out)
 
 enum { FIRST_CAPACITY = 32 };
 
-static int fail_memory(struct bsq_ctx *ctx)
+static int text_fail_memory(struct bsq_ctx *ctx)
 {
     return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "names");
 }
@@ -164,7 +164,7 @@ int bsq_tally_grow(struct bsq_ctx *ctx, struct bsq_tally *tally, uint64_t count,
     memcpy(&list, inout, sizeof list);
     list = reallocarray(list, wanted, size);
     if (!list)
-        return fail_memory(ctx);
+        return text_fail_memory(ctx);
     memcpy(inout, &list, sizeof list);
     *capacity = wanted;
     return 0;
@@ -173,7 +173,7 @@ int bsq_tally_grow(struct bsq_ctx *ctx, struct bsq_tally *tally, uint64_t count,
 /* ---- texts ---- */
 
 /* Returns the slot of a text, or an empty one. Some slot must be empty. */
-static uint64_t *find_slot(const struct bsq_texts *texts, const char *text)
+static uint64_t *text_find_slot(const struct bsq_texts *texts, const char *text)
 {
     for (uint64_t i = bsq_text_hash(BSQ_HASH_START, text, strlen(text));; i++) {
         uint64_t *slot = &texts->slots[i & (2 * texts->capacity - 1)];
@@ -195,18 +195,18 @@ static int grow(struct bsq_ctx *ctx, struct bsq_tally *tally, struct bsq_texts *
     assert(status < 0 || capacity > 0);
     uint64_t *slots = status == 0 ? calloc(2 * capacity, sizeof *slots) : NULL;
     if (!slots)
-        return status < 0 ? status : fail_memory(ctx);
+        return status < 0 ? status : text_fail_memory(ctx);
     free(texts->slots);
     texts->slots = slots;
     texts->capacity = capacity;
     for (uint64_t i = 0; i < texts->count; i++)
-        *find_slot(texts, texts->list[i]) = i + 1;
+        *text_find_slot(texts, texts->list[i]) = i + 1;
     return 0;
 }
 
 uint64_t bsq_texts_find(const struct bsq_texts *texts, const char *text)
 {
-    const uint64_t slot = texts->count > 0 ? *find_slot(texts, text) : 0;
+    const uint64_t slot = texts->count > 0 ? *text_find_slot(texts, text) : 0;
     return slot > 0 ? slot - 1 : texts->count;
 }
 
@@ -221,9 +221,9 @@ int bsq_texts_add(struct bsq_ctx *ctx, struct bsq_tally *tally, struct bsq_texts
         status = bsq_tally_add(ctx, tally, strlen(text) + 1);
     char *copy = status == 0 ? strdup(text) : NULL;
     if (!copy)
-        return status < 0 ? status : fail_memory(ctx);
+        return status < 0 ? status : text_fail_memory(ctx);
     texts->list[texts->count++] = copy;
-    *find_slot(texts, text) = texts->count;
+    *text_find_slot(texts, text) = texts->count;
     return 0;
 }
 

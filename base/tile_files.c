@@ -49,7 +49,7 @@ size_t bsq_tile_folder(const char *path)
 }
 
 /* Parses a number of at most four digits without a sign. Returns its end, or NULL. */
-static const char *parse_number(const char *text, uint32_t *out)
+static const char *tile_files_parse_number(const char *text, uint32_t *out)
 {
     const char *at = text;
     *out = 0;
@@ -64,12 +64,12 @@ static const char *parse_tile(const char *text, bool is_udim, uint32_t *number)
     uint32_t u = 0, v = 0;
     const char *at;
     if (is_udim) {
-        at = parse_number(text, &v);
+        at = tile_files_parse_number(text, &v);
         *number = v - 1001u;
         return at == text + 4 && v > 1000 ? at : NULL;
     }
-    at = *text == 'u' ? parse_number(text + 1, &u) : NULL;
-    at = at && strncmp(at, "_v", 2) == 0 ? parse_number(at + 2, &v) : NULL;
+    at = *text == 'u' ? tile_files_parse_number(text + 1, &u) : NULL;
+    at = at && strncmp(at, "_v", 2) == 0 ? tile_files_parse_number(at + 2, &v) : NULL;
     *number = (u - 1) + BSQ_TILE_COLUMNS * (v - 1);
     return at && u >= 1 && u <= BSQ_TILE_COLUMNS && v >= 1 && v <= BSQ_TILE_ROWS ? at : NULL;
 }
@@ -102,8 +102,8 @@ static bool matches(const char *component, const char *end, const char *name, st
 }
 
 /* Adds a file, if there is a regular one of this path. */
-static int add_file(struct bsq_ctx *ctx, const char *path, uint32_t number,
-                    struct bsq_tile_files *out)
+static int tile_files_add(struct bsq_ctx *ctx, const char *path, uint32_t number,
+                          struct bsq_tile_files *out)
 {
     struct stat info;
     if (stat(path, &info) != 0 || !S_ISREG(info.st_mode))
@@ -123,8 +123,8 @@ static int add_file(struct bsq_ctx *ctx, const char *path, uint32_t number,
 }
 
 /* Joins `length` bytes of a path and what follows them. The caller frees *out with free(). */
-static int join(struct bsq_ctx *ctx, const char *path, const char *next, size_t length,
-                const char *end, char **out)
+static int tile_files_join(struct bsq_ctx *ctx, const char *path, const char *next, size_t length,
+                           const char *end, char **out)
 {
     if (asprintf(out, "%s%.*s%s", path, (int)length, next, end) >= 0)
         return 0;
@@ -143,9 +143,9 @@ static int find_files(struct bsq_ctx *ctx, const char *folder, const char *rest,
     char *path = NULL;
     int status = bsq_check(ctx);
     if (status == 0)
-        status = join(ctx, folder, rest, bsq_tile_folder(rest), "", &path);
+        status = tile_files_join(ctx, folder, rest, bsq_tile_folder(rest), "", &path);
     if (status == 0 && !component)
-        status = add_file(ctx, path, tile.number, out);
+        status = tile_files_add(ctx, path, tile.number, out);
     DIR *entries = status == 0 && component ? opendir(*path ? path : ".") : NULL;
     const char *end = component ? component + strcspn(component, "/") : NULL;
     for (struct dirent *entry; status == 0 && entries && (entry = readdir(entries)) != NULL;) {
@@ -153,7 +153,8 @@ static int find_files(struct bsq_ctx *ctx, const char *folder, const char *rest,
         char *next;
         if (!matches(component, end, entry->d_name, &found))
             continue;
-        status = join(ctx, path, entry->d_name, strlen(entry->d_name), *end ? "/" : "", &next);
+        status = tile_files_join(ctx, path, entry->d_name, strlen(entry->d_name), *end ? "/" : "",
+                                 &next);
         if (status == 0)
             status = find_files(ctx, next, *end ? end + 1 : end, found, out);
         free(next);

@@ -72,7 +72,7 @@ struct survey {
     uint64_t bare_faces; /* without a material */
 };
 
-static bool any_index(const uint64_t *indices, uint64_t count)
+static bool file_info_any_index(const uint64_t *indices, uint64_t count)
 {
     for (uint64_t i = 0; indices && i < count; i++)
         if (indices[i] != FMT_MESH_NONE)
@@ -108,8 +108,8 @@ static int survey_batch(void *arg, const struct fmt_mesh_batch *batch)
             s->max[axis] = fmax(s->max[axis], batch->positions[v][axis]);
         }
     s->has_colors |= batch->colors || batch->late_color_count > 0;
-    s->has_texcoords |= any_index(batch->corner_texcoords, batch->corner_count);
-    s->has_normals |= any_index(batch->corner_normals, batch->corner_count);
+    s->has_texcoords |= file_info_any_index(batch->corner_texcoords, batch->corner_count);
+    s->has_normals |= file_info_any_index(batch->corner_normals, batch->corner_count);
     for (uint64_t i = 0; i <= batch->material_change_count && status == 0; i++) {
         const bool last = i == batch->material_change_count;
         const uint64_t end = last ? batch->face_count : batch->material_changes[i].face;
@@ -121,7 +121,7 @@ static int survey_batch(void *arg, const struct fmt_mesh_batch *batch)
 }
 
 /* Returns whether a texture can be found. */
-static bool is_there(const char *path)
+static bool file_info_is_there(const char *path)
 {
     struct bsq_extent extent;
     return bsq_extent_parse(path, &extent) > 0 || bsq_has_tiles(path) || access(path, R_OK) == 0;
@@ -129,7 +129,8 @@ static bool is_there(const char *path)
 
 static json_t *texture_json(const char *path)
 {
-    return json_pack("{s:o, s:b}", "texture", text_json(path), "found", (int)is_there(path));
+    return json_pack("{s:o, s:b}", "texture", text_json(path), "found",
+                     (int)file_info_is_there(path));
 }
 
 static json_t *channel_json(const struct fmt_material_channel *channel)

@@ -50,8 +50,8 @@ static int add_checksum(struct bsq_ctx *ctx, const char *path, XXH3_state_t *sta
 }
 
 /* Adds a file that is no chunk file: all bytes, but of a large grid both ends. */
-static int add_file(struct bsq_ctx *ctx, const struct bsq_file *file, enum fmt_kind kind,
-                    XXH3_state_t *state)
+static int fingerprint_add_file(struct bsq_ctx *ctx, const struct bsq_file *file,
+                                enum fmt_kind kind, XXH3_state_t *state)
 {
     const bool whole = kind != FMT_KIND_NVDB || file->size <= WHOLE_BYTES;
     void *buffer = NULL;
@@ -75,7 +75,7 @@ static int hash_file(struct bsq_ctx *ctx, const struct bsq_file *file, enum fmt_
         return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", file->path);
     }
     BSQ_TRY(kind == FMT_KIND_TRIS ? add_checksum(ctx, file->path, state)
-                                  : add_file(ctx, file, kind, state));
+                                  : fingerprint_add_file(ctx, file, kind, state));
     BSQ_TRY(bsq_file_check(ctx, file));
     const XXH128_hash_t digest = XXH3_128bits_digest(state);
     snprintf(hash, 33, "%016" PRIx64 "%016" PRIx64, digest.high64, digest.low64);

@@ -70,7 +70,7 @@ int vox_precision_warn_merged(struct bsq_ctx *ctx, const char *path, uint64_t me
 }
 
 /* Estimates the mean edge of a chunk's triangles: their surface is about as large as its bounds. */
-static double edge_of(const struct fmt_tris_chunk_info *chunk)
+static double precision_edge_of(const struct fmt_tris_chunk_info *chunk)
 {
     double square = 0.0;
     for (int axis = 0; axis < 3; axis++) {
@@ -87,7 +87,8 @@ void vox_precision_warn_grid(struct bsq_ctx *ctx, const char *path,
     uint64_t coarse = 0;
     for (uint64_t i = 0; i < header->chunk_count; i++) {
         double spacing = spacing_at(chunks[i].bounds_min, chunks[i].bounds_max);
-        coarse += edge_of(&chunks[i]) < least_spacings * spacing ? chunks[i].triangle_count : 0;
+        coarse +=
+            precision_edge_of(&chunks[i]) < least_spacings * spacing ? chunks[i].triangle_count : 0;
     }
     double spacing = spacing_at(header->bounds_min, header->bounds_max);
     if (2 * coarse > header->triangle_count)

@@ -132,7 +132,7 @@ static int copy_placements(struct bsq_ctx *ctx, const struct vox_sort_options *o
 }
 
 /* Adds a name to a list of VOX_NAMES_BYTES bytes. */
-static void add_name(char *list, const char *name)
+static void sort_add_name(char *list, const char *name)
 {
     const size_t length = strlen(list);
     snprintf(list + length, VOX_NAMES_BYTES - length, "%s%s", length > 0 ? "," : "", name);
@@ -152,15 +152,15 @@ static void report_scan(const struct scan *scan, const struct vox_sort_options *
     report->unused_texcoords = !report->has_texcoords && scan_count(scan, SCAN_TEXCOORDS) > 0;
     report->uses_textures = vox_scan_find_texture(scan, false) != NULL;
     if (outer)
-        add_name(report->outer_texture, outer);
+        sort_add_name(report->outer_texture, outer);
     for (uint32_t i = 0; i < scan->material_count; i++)
         report->has_material_colors |=
             !scan->materials[i].texture_path && !scan->materials[i].colorless;
     for (uint32_t c = 0; c < scan->channel_count; c++)
-        add_name(report->kept_channels, scan->channels[c].name);
+        sort_add_name(report->kept_channels, scan->channels[c].name);
     for (unsigned i = 0; bsq_channel_at(i); i++)
         if (scan->unkept >> i & 1)
-            add_name(report->unkept_channels, bsq_channel_at(i)->name);
+            sort_add_name(report->unkept_channels, bsq_channel_at(i)->name);
 }
 
 static int read_scan(struct scan *scan, const struct sort_limits *limits,
@@ -289,7 +289,7 @@ static int sort_scan(const struct scan *scan, const struct vox_sort_options *opt
     return status;
 }
 
-static int check_channels(struct bsq_ctx *ctx, const struct vox_sort_options *options)
+static int sort_check_channels(struct bsq_ctx *ctx, const struct vox_sort_options *options)
 {
     for (uint32_t i = 0; i < options->channel_count; i++) {
         const char *name = options->channels[i].name;
@@ -319,7 +319,7 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
     if (status < 0)
         return status;
     BSQ_TRY(begin_scan(&scan, ctx, options, limits));
-    BSQ_TRY(check_channels(ctx, options));
+    BSQ_TRY(sort_check_channels(ctx, options));
     BSQ_TRY(names_tris(options) ? bsq_note_output(ctx, options->tris_path) : 0);
     BSQ_TRY(read_scan(&scan, limits, options, report, &partition));
     status = sort_scan(&scan, options, &partition, report);

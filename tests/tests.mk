@@ -312,10 +312,11 @@ formatted = $(sort $(shell find $(libs) tools tests $(wildcard examples) \
 # States that Clang's static analyzer visits in each function at most.
 lint_nodes ?= 225000
 .PHONY: lint format
-## lint: check rooms, documents, formatting, cppcheck, clang-tidy (installs missing tools)
+## lint: check rooms, documents, names, formatting, cppcheck, clang-tidy (installs missing tools)
 lint: deps-lint $(addprefix $(BUILD)/gen/,kernel_source.inc kernel_ptx.inc)
 	tests/lint/rooms.sh
 	tests/lint/documents.sh
+	tests/lint/statics.sh
 	clang-format --dry-run -Werror $(formatted)
 	cppcheck --quiet -j $(jobs) --std=c11 --enable=warning,performance,portability --inline-suppr \
 	    --suppress=missingIncludeSystem --error-exitcode=1 -I. -I$(BUILD)/gen \

@@ -37,7 +37,7 @@ static bool take_number(const char **text, unsigned long long most, uint32_t *ou
 }
 
 /* Reads a character if it is there. */
-static bool take(const char **text, char character)
+static bool bake_args_take(const char **text, char character)
 {
     bool there = **text == character;
     *text += there;
@@ -48,7 +48,7 @@ static bool take(const char **text, char character)
 static bool take_side(const char **text, uint32_t *out)
 {
     const bool good = take_number(text, BAKE_MAX_SIDE, out);
-    const uint64_t texels = take(text, 'k') ? UINT64_C(1024) * *out : *out;
+    const uint64_t texels = bake_args_take(text, 'k') ? UINT64_C(1024) * *out : *out;
     *out = (uint32_t)texels;
     return good && texels <= BAKE_MAX_SIDE;
 }
@@ -57,7 +57,7 @@ static bool take_size(const char **text, uint32_t *width, uint32_t *height)
 {
     bool good = take_side(text, width);
     *height = *width;
-    return good && (!take(text, 'x') || take_side(text, height));
+    return good && (!bake_args_take(text, 'x') || take_side(text, height));
 }
 
 /* Adds the size of a tile. */
@@ -81,8 +81,8 @@ static int take_tile_size(struct cli *cli, const char **text, struct bake_option
                           bool *others, bool *good)
 {
     struct bake_tile_size size = {0};
-    const bool all = take(text, '*');
-    *good = (all || take_number(text, BAKE_LAST_TILE, &size.tile)) && take(text, '=') &&
+    const bool all = bake_args_take(text, '*');
+    *good = (all || take_number(text, BAKE_LAST_TILE, &size.tile)) && bake_args_take(text, '=') &&
             take_size(text, &size.width, &size.height);
     if (!*good)
         return 0;
@@ -110,7 +110,7 @@ static int parse_sizes(struct cli *cli, const char *text, struct bake_options *o
         bool others = false;
         do
             status = take_tile_size(cli, &at, options, &others, &good);
-        while (status == 0 && good && take(&at, ','));
+        while (status == 0 && good && bake_args_take(&at, ','));
         good = good && *at == '\0';
     }
     if (status == 0 && !good)
@@ -129,7 +129,7 @@ static int parse_tiles(struct cli *cli, const char *text, struct bake_options *o
         struct bake_tile_range range;
         bool good = take_number(&at, BAKE_LAST_TILE, &range.first);
         range.last = range.first;
-        if (good && take(&at, '-'))
+        if (good && bake_args_take(&at, '-'))
             good = take_number(&at, BAKE_LAST_TILE, &range.last);
         if (!good || (*at != ',' && *at != '\0') || range.first < BAKE_FIRST_TILE ||
             range.last < range.first)
@@ -142,7 +142,7 @@ static int parse_tiles(struct cli *cli, const char *text, struct bake_options *o
             return cli_usage(cli, "--tiles: out of memory");
         ranges[options->tile_range_count++] = range;
         options->tile_ranges = ranges;
-    } while (take(&at, ','));
+    } while (bake_args_take(&at, ','));
     return 0;
 }
 
@@ -173,7 +173,8 @@ static int parse_list(struct cli *cli, struct bake_arguments *arguments, const c
     return status;
 }
 
-static int take_option(struct cli *cli, void *arg, const struct bsq_option *row, const char *text)
+static int bake_args_take_option(struct cli *cli, void *arg, const struct bsq_option *row,
+                                 const char *text)
 {
     struct bake_arguments *arguments = arg;
     struct bake_options *bake = &arguments->bake;
@@ -217,7 +218,7 @@ struct cli_table bake_arguments_table(const struct bake_arguments *arguments)
     return table;
 }
 
-static int check_arguments(struct cli *cli, struct bake_arguments *arguments)
+static int bake_args_check(struct cli *cli, struct bake_arguments *arguments)
 {
     struct bake_options *bake = &arguments->bake;
     const int count = arguments->file_count;
@@ -249,14 +250,14 @@ int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int 
                    {bake_task_rows, BAKE_TASK_ROWS, &arguments->farm, NULL},
                    {list_rows, LIST_ROWS, arguments, NULL},
                    {cli_rows, sizeof cli_rows / sizeof *cli_rows, cli, NULL}},
-        .take = take_option,
+        .take = bake_args_take_option,
         .arguments = arguments,
     };
     bake_defaults(&arguments->bake);
     int status = cli_parse(cli, &command, argc, argv);
     arguments->files = argv + optind;
     arguments->file_count = argc - optind;
-    return status != 0 ? status : check_arguments(cli, arguments);
+    return status != 0 ? status : bake_args_check(cli, arguments);
 }
 
 /* ---- which inputs are scans, and which are low-poly meshes ---- */

@@ -24,7 +24,8 @@ static int add_transfer(struct cli *cli, struct bake_transfers *list, const char
     return 0;
 }
 
-static struct bake_transfer *find_transfer(const struct bake_transfers *list, const char *name)
+static struct bake_transfer *bake_maps_find_transfer(const struct bake_transfers *list,
+                                                     const char *name)
 {
     for (uint32_t i = 0; i < list->count; i++)
         if (strcmp(list->maps[i].name, name) == 0)
@@ -66,7 +67,7 @@ static int parse_map(struct cli *cli, struct bake_arguments *arguments, const ch
         return 0;
     if (strncmp(word, transfer_prefix, prefix) != 0)
         return refuse_map(cli, word);
-    if (find_transfer(&arguments->transfers, word + prefix))
+    if (bake_maps_find_transfer(&arguments->transfers, word + prefix))
         return cli_usage(cli, "--maps: %s is named twice", word);
     return add_transfer(cli, &arguments->transfers, word + prefix, strlen(word + prefix), NULL);
 }
@@ -113,10 +114,10 @@ static void use_transfers(struct bake_arguments *arguments)
 static int use_opacity(struct cli *cli, struct bake_transfers *list)
 {
     static const char name[] = "opacity";
-    const bool has_file = find_transfer(list, name) != NULL;
+    const bool has_file = bake_maps_find_transfer(list, name) != NULL;
     if (!has_file && add_transfer(cli, list, name, strlen(name), NULL) < 0)
         return BSQ_EUSAGE;
-    struct bake_transfer *map = find_transfer(list, name);
+    struct bake_transfer *map = bake_maps_find_transfer(list, name);
     map->in_mask = true;
     map->no_file = !has_file;
     return 0;
@@ -129,7 +130,7 @@ static int finish_transfers(struct cli *cli, struct bake_arguments *arguments)
         return BSQ_EUSAGE;
     for (uint32_t i = 0; i < arguments->textures.count; i++) {
         const struct bake_transfer *texture = &arguments->textures.maps[i];
-        struct bake_transfer *map = find_transfer(&arguments->transfers, texture->name);
+        struct bake_transfer *map = bake_maps_find_transfer(&arguments->transfers, texture->name);
         if (!map)
             return cli_usage(cli, "--texture %s=%s: --maps does not have transfer:%s",
                              texture->name, texture->texture_path, texture->name);
@@ -157,11 +158,11 @@ static int note_channel(struct cli *cli, struct bake_arguments *arguments, const
     return arguments->channels ? 0 : cli_usage(cli, "out of memory");
 }
 
-static int add_channel(void *arg, const char *name)
+static int bake_maps_add_channel(void *arg, const char *name)
 {
     const struct additions *added = (const struct additions *)arg;
     struct bake_transfers *list = &added->to->transfers;
-    struct bake_transfer *map = find_transfer(list, name);
+    struct bake_transfer *map = bake_maps_find_transfer(list, name);
     int status = note_channel(added->cli, added->to, name);
     if (status < 0 || !(added->to->bake.maps & BAKE_MAPS_ALL))
         return status;
@@ -224,7 +225,7 @@ static int fill_packs(struct cli *cli, struct bake_arguments *arguments)
     return status;
 }
 
-static void count_tile(void *arg, const struct bake_tile_info *tile)
+static void bake_maps_count_tile(void *arg, const struct bake_tile_info *tile)
 {
     (void)tile;
     ++*(unsigned *)arg;
@@ -248,7 +249,7 @@ static int name_in_folder(struct cli *cli, struct bake_arguments *arguments)
     if (!there)
         return 0;
     bsq_mute_warnings(cli->ctx, true); /* the bake reads the meshes again, and then gives them */
-    const int status = bake_list_tiles(cli->ctx, bake, count_tile, &tiles);
+    const int status = bake_list_tiles(cli->ctx, bake, bake_maps_count_tile, &tiles);
     bsq_mute_warnings(cli->ctx, false);
     if (status < 0)
         return status;
@@ -274,7 +275,7 @@ int bake_arguments_look(struct cli *cli, struct bake_arguments *arguments)
     BSQ_TRY(name_in_folder(cli, arguments));
     BSQ_TRY(bake_check_options(cli->ctx, bake));
     BSQ_TRY(bake_look(cli->ctx, bake, arguments->given,
-                      fills || bake->maps & BAKE_MAPS_ALL ? add_channel : NULL, &to));
+                      fills || bake->maps & BAKE_MAPS_ALL ? bake_maps_add_channel : NULL, &to));
     if (fills)
         BSQ_TRY(fill_packs(cli, arguments));
     status = bake_check_options(cli->ctx, bake);
@@ -285,14 +286,14 @@ done:
 /* ---- packs, presets and quality ---- */
 
 /* Adds a word of a pack to the maps that are baked. */
-static int add_packed(struct cli *cli, struct bake_arguments *arguments, const char *word)
+static int bake_maps_add_packed(struct cli *cli, struct bake_arguments *arguments, const char *word)
 {
     const char *name = strncmp(word, "1-", 2) == 0 ? word + 2 : word;
     const uint32_t map = maps_of_word(name);
     if (strcmp(name, "0") == 0 || strcmp(name, "1") == 0 || *name == '\0')
         return 0; /* bake_check_options() refuses what is no name */
     arguments->bake.maps |= map;
-    return map || find_transfer(&arguments->transfers, name)
+    return map || bake_maps_find_transfer(&arguments->transfers, name)
                ? 0
                : add_transfer(cli, &arguments->transfers, name, strlen(name), NULL);
 }
@@ -328,7 +329,7 @@ static int finish_packs(struct cli *cli, struct bake_arguments *arguments)
         char *list = strdup(arguments->packs[i].maps), *rest = list, *word;
         status = list ? 0 : cli_usage(cli, "--pack: out of memory");
         while (status == 0 && (word = strsep(&rest, ",")))
-            status = add_packed(cli, arguments, word);
+            status = bake_maps_add_packed(cli, arguments, word);
         free(list);
     }
     return status;

@@ -181,8 +181,8 @@ static int print_map(void *arg, const struct bake_file *file)
     return 0;
 }
 
-static int print_report(const struct cli *cli, const struct bake_arguments *arguments,
-                        struct bake_report *report)
+static int bake_report_text(const struct cli *cli, const struct bake_arguments *arguments,
+                            struct bake_report *report)
 {
     int status = 0;
     const struct bake_options *bake = &arguments->bake;
@@ -326,8 +326,8 @@ static json_t *unseen_json(const struct bake_report *report)
                      report->unseen_inside, "cell", report->seen_cell);
 }
 
-static json_t *report_json(const struct cli *cli, const struct bake_arguments *arguments,
-                           const struct bake_report *report)
+static json_t *bake_report_json(const struct cli *cli, const struct bake_arguments *arguments,
+                                const struct bake_report *report)
 {
     const struct bake_options *bake = &arguments->bake;
     return json_pack(
@@ -415,8 +415,8 @@ static int compare_map(void *arg, const struct bake_file *file)
 }
 
 /* Compares all maps that have a reference. Sets *comparisons to a list, or NULL without memory. */
-static int compare_maps(struct cli *cli, const struct bake_options *bake,
-                        const struct bake_report *report, json_t **comparisons)
+static int bake_report_compare_maps(struct cli *cli, const struct bake_options *bake,
+                                    const struct bake_report *report, json_t **comparisons)
 {
     struct references r = {cli, bake->reference_path, bake->page, false, {"", ""}, json_array()};
     int status = 0;
@@ -439,13 +439,13 @@ int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
     int status = 0;
     hint_at_misses(cli, arguments, report);
     hint_at_overlaps(cli, arguments, report);
-    BSQ_TRY(compare_maps(cli, bake, report, &comparisons));
-    root = report_json(cli, arguments, report);
+    BSQ_TRY(bake_report_compare_maps(cli, bake, report, &comparisons));
+    root = bake_report_json(cli, arguments, report);
     cli_json_set(&root, "comparisons", json_incref(comparisons));
     if (bake->page)
         BSQ_TRY(page_end(cli, bake->page, json_incref(root), &table));
-    status =
-        cli->json ? cli_print_json(cli, json_incref(root)) : print_report(cli, arguments, report);
+    status = cli->json ? cli_print_json(cli, json_incref(root))
+                       : bake_report_text(cli, arguments, report);
 done:
     json_decref(comparisons);
     json_decref(root);

@@ -36,8 +36,8 @@ done:
 }
 
 /* Merges a tile of a plan, or all. Sets *missed as bake_maps() does, for all. */
-static int merge_tile(struct cli *cli, const struct bake_arguments *arguments,
-                      const struct bake_farm_plan *plan, uint32_t tile, bool *missed)
+static int bake_tool_merge_tile(struct cli *cli, const struct bake_arguments *arguments,
+                                const struct bake_farm_plan *plan, uint32_t tile, bool *missed)
 {
     const bool all = tile == BAKE_ALL_TILES;
     struct bake_report report = {.size = sizeof report};
@@ -69,7 +69,7 @@ static int merge_tiles(struct cli *cli, const struct bake_arguments *arguments,
     for (uint32_t tile = range->first; tile <= range->last && status == 0; tile++) {
         cli_percent_turn(cli, tile - range->first, range->last - range->first + 1);
         if (tile < count)
-            status = merge_tile(cli, arguments, plan, tile, NULL);
+            status = bake_tool_merge_tile(cli, arguments, plan, tile, NULL);
         else if (!cli->json)
             cli_print("%s: there is no tile %u, nothing to do\n", arguments->farm.plan, tile);
         else
@@ -81,8 +81,8 @@ static int merge_tiles(struct cli *cli, const struct bake_arguments *arguments,
 }
 
 /* Merges the parts of a plan. Sets *missed as bake_maps() does. */
-static int merge(struct cli *cli, struct bake_arguments *arguments,
-                 const struct bake_farm_plan *plan, bool *missed)
+static int bake_tool_merge(struct cli *cli, struct bake_arguments *arguments,
+                           const struct bake_farm_plan *plan, bool *missed)
 {
     const struct cli_table table = bake_arguments_table(arguments);
     const double max_missed = cli_is_given(&table, "max-missed")
@@ -93,8 +93,9 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
     int status = 0;
     if (arguments->bake.reference_path)
         BSQ_TRY(bake_report_note_references(cli, arguments->bake.reference_path));
-    status = arguments->farm.task.given ? merge_tiles(cli, arguments, plan)
-                                        : merge_tile(cli, arguments, plan, BAKE_ALL_TILES, missed);
+    status = arguments->farm.task.given
+                 ? merge_tiles(cli, arguments, plan)
+                 : bake_tool_merge_tile(cli, arguments, plan, BAKE_ALL_TILES, missed);
 done:
     /* The plan owns what these point to. */
     arguments->bake.transfers = NULL;
@@ -114,7 +115,7 @@ static int work_by_plan(struct cli *cli, struct bake_arguments *arguments, bool 
     if (bake_describe_plan(plan).options->strict)
         bsq_set_strict(cli->ctx, true);
     if (arguments->farm.merge)
-        status = merge(cli, arguments, plan, missed);
+        status = bake_tool_merge(cli, arguments, plan, missed);
     else if (arguments->farm.task.given)
         status = bake_farm_tasks(cli, arguments, plan);
     else
@@ -125,7 +126,7 @@ done:
 }
 
 /* Does what the command line asks for. */
-static int work(struct cli *cli, struct bake_arguments *arguments, bool *missed)
+static int bake_tool_work(struct cli *cli, struct bake_arguments *arguments, bool *missed)
 {
     int status = 0;
     BSQ_TRY(cli_create_context(cli));
@@ -149,7 +150,7 @@ int main(int argc, char **argv)
     cli_begin(&cli, "bisque-bake", argv);
     int status = bake_arguments_parse(&cli, &arguments, argc, argv);
     if (status == 0)
-        status = work(&cli, &arguments, &missed);
+        status = bake_tool_work(&cli, &arguments, &missed);
     bake_arguments_free(&arguments);
     int code = cli_end(&cli, status);
     return code ? code : missed;

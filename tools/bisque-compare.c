@@ -93,7 +93,8 @@ static const struct bsq_option rows[] = {
 };
 enum { ROWS = sizeof rows / sizeof *rows };
 
-static int parse_arguments(struct cli *cli, struct arguments *arguments, int argc, char **argv)
+static int compare_tool_parse_arguments(struct cli *cli, struct arguments *arguments, int argc,
+                                        char **argv)
 {
     const struct cli_command command = {.usage = usage, .tables = {{rows, ROWS, arguments, NULL}}};
     bake_compare_defaults(&arguments->compare);
@@ -115,7 +116,7 @@ static int parse_arguments(struct cli *cli, struct arguments *arguments, int arg
     return 0;
 }
 
-static int check_outputs(struct cli *cli, const struct bake_compare_options *compare)
+static int compare_tool_check_outputs(struct cli *cli, const struct bake_compare_options *compare)
 {
     const char *inputs[] = {compare->a_path, compare->b_path, compare->a_mask_path,
                             compare->b_mask_path};
@@ -156,8 +157,8 @@ static int count_failures(struct cli *cli, const struct arguments *arguments,
     return failures;
 }
 
-static void print_report(const struct arguments *arguments,
-                         const struct bake_compare_report *report)
+static void compare_tool_print_report(const struct arguments *arguments,
+                                      const struct bake_compare_report *report)
 {
     const char *unit = bake_compare_unit(report->kind);
     char compared[CLI_TEXT];
@@ -188,8 +189,8 @@ static void print_report(const struct arguments *arguments,
                   arguments->compare.heatmap_path, report->scale, unit);
 }
 
-static json_t *report_json(const struct arguments *arguments,
-                           const struct bake_compare_report *report, int failures)
+static json_t *compare_tool_report_json(const struct arguments *arguments,
+                                        const struct bake_compare_report *report, int failures)
 {
     json_t *root = page_comparison_json(&arguments->compare, report);
     if (root)
@@ -201,7 +202,7 @@ static int compare_maps(struct cli *cli, struct arguments *arguments, int *failu
 {
     struct bake_compare_report report = {.size = sizeof report};
     int status;
-    BSQ_TRY(check_outputs(cli, &arguments->compare));
+    BSQ_TRY(compare_tool_check_outputs(cli, &arguments->compare));
     if (arguments->report)
         BSQ_TRY(bake_page_open(cli->ctx, arguments->report, &arguments->compare.page));
     BSQ_TRY(bake_compare(cli->ctx, &arguments->compare, &report));
@@ -210,12 +211,13 @@ static int compare_maps(struct cli *cli, struct arguments *arguments, int *failu
                           page_kind_name(report.kind)));
     *failures = count_failures(cli, arguments, &report);
     if (arguments->compare.page)
-        BSQ_TRY(page_end(cli, arguments->compare.page, report_json(arguments, &report, *failures),
+        BSQ_TRY(page_end(cli, arguments->compare.page,
+                         compare_tool_report_json(arguments, &report, *failures),
                          &(struct cli_table){rows, ROWS, arguments, NULL}));
     if (cli->json)
-        status = cli_print_json(cli, report_json(arguments, &report, *failures));
+        status = cli_print_json(cli, compare_tool_report_json(arguments, &report, *failures));
     else
-        print_report(arguments, &report);
+        compare_tool_print_report(arguments, &report);
 done:
     bake_page_close(arguments->compare.page);
     return status;
@@ -240,8 +242,8 @@ done:
 /* ---- a mesh and a scan ---- */
 
 /* Measures the distances between the surfaces. */
-static int measure(struct cli *cli, const struct arguments *arguments,
-                   struct vox_distances *from_scan, struct vox_distances *from_mesh)
+static int compare_tool_measure(struct cli *cli, const struct arguments *arguments,
+                                struct vox_distances *from_scan, struct vox_distances *from_mesh)
 {
     const char *const *inputs = arguments->inputs;
     const uint32_t count = arguments->input_count;
@@ -274,7 +276,7 @@ static int compare_surfaces(struct cli *cli, const struct arguments *arguments, 
                              limit_rows[i].option);
     if (arguments->report)
         return cli_usage(cli, "--report is for maps, not for a mesh and a scan");
-    int status = measure(cli, arguments, &a, &b);
+    int status = compare_tool_measure(cli, arguments, &a, &b);
     if (status < 0)
         return status;
     *failures = count_failures(cli, arguments,
@@ -319,7 +321,7 @@ int main(int argc, char **argv)
     struct arguments arguments = {0};
     int failures = 0;
     cli_begin(&cli, "bisque-compare", argv);
-    int status = parse_arguments(&cli, &arguments, argc, argv);
+    int status = compare_tool_parse_arguments(&cli, &arguments, argc, argv);
     if (status == 0)
         status = cli_create_context(&cli);
     if (status == 0)

@@ -59,8 +59,8 @@ static int compare_falling(const void *a, const void *b)
 }
 
 /* Reads the list of --triangles. */
-static int take_option(struct cli *cli, void *arguments_, const struct bsq_option *row,
-                       const char *text)
+static int simplify_tool_take_option(struct cli *cli, void *arguments_,
+                                     const struct bsq_option *row, const char *text)
 {
     struct arguments *arguments = arguments_;
     uint32_t count = 0;
@@ -111,13 +111,14 @@ static int name_outputs(struct cli *cli, struct arguments *arguments)
     return 0;
 }
 
-static int parse_arguments(struct cli *cli, struct arguments *arguments, int argc, char **argv)
+static int simplify_tool_parse_arguments(struct cli *cli, struct arguments *arguments, int argc,
+                                         char **argv)
 {
     const struct cli_command command = {
         .usage = usage,
         .tables = {{rows, ROWS, arguments, NULL},
                    {cli_rows, sizeof cli_rows / sizeof *cli_rows, cli, NULL}},
-        .take = take_option,
+        .take = simplify_tool_take_option,
         .arguments = arguments};
     vox_simplify_defaults(&arguments->simplify);
     bsq_options_defaults(rows, ROWS, arguments);
@@ -138,8 +139,8 @@ static int parse_arguments(struct cli *cli, struct arguments *arguments, int arg
 /* ---- the work ---- */
 
 /* Finds out which inputs are meshes and which are chunk files. */
-static int recognise_inputs(struct cli *cli, struct arguments *arguments, const char **inputs,
-                            uint32_t count)
+static int simplify_tool_recognise_inputs(struct cli *cli, struct arguments *arguments,
+                                          const char **inputs, uint32_t count)
 {
     int status = 0;
     for (uint32_t i = 0; i < count; i++)
@@ -185,8 +186,8 @@ static void warn_of_targets(struct cli *cli, const struct arguments *arguments,
     }
 }
 
-static void print_report(const struct cli *cli, const struct arguments *arguments,
-                         const struct vox_simplify_report *report)
+static void simplify_tool_print_report(const struct cli *cli, const struct arguments *arguments,
+                                       const struct vox_simplify_report *report)
 {
     char text[CLI_TEXT], more[CLI_TEXT];
     cli_print("scan: %s, diagonal %g\n",
@@ -207,8 +208,8 @@ static void print_report(const struct cli *cli, const struct arguments *argument
     cli_print_cost(cli);
 }
 
-static int print_json(struct cli *cli, const struct arguments *arguments,
-                      const struct vox_simplify_report *report)
+static int simplify_tool_print_json(struct cli *cli, const struct arguments *arguments,
+                                    const struct vox_simplify_report *report)
 {
     json_t *levels = json_array();
     for (uint32_t i = 0; i < report->level_count; i++) {
@@ -229,15 +230,15 @@ static int print_json(struct cli *cli, const struct arguments *arguments,
                   CLI_VALUE(report, seconds_measure)));
 }
 
-static int run(struct cli *cli, struct arguments *arguments, const char **inputs,
-               uint32_t input_count)
+static int simplify_tool_run(struct cli *cli, struct arguments *arguments, const char **inputs,
+                             uint32_t input_count)
 {
     struct vox_simplify_report report = {.size = sizeof report};
     struct vox_temp_tris *temp = NULL;
     int status = 0;
     BSQ_TRY(cli_create_context(cli));
     BSQ_TRY(name_outputs(cli, arguments));
-    BSQ_TRY(recognise_inputs(cli, arguments, inputs, input_count));
+    BSQ_TRY(simplify_tool_recognise_inputs(cli, arguments, inputs, input_count));
     if (arguments->scans.mesh_count > 0) {
         BSQ_TRY(vox_temp_tris_create(cli->ctx, &temp));
         BSQ_TRY(sort_meshes(cli, arguments, temp));
@@ -246,9 +247,9 @@ static int run(struct cli *cli, struct arguments *arguments, const char **inputs
     BSQ_TRY(vox_simplify(cli->ctx, &arguments->simplify, &report));
     warn_of_targets(cli, arguments, &report);
     if (cli->json)
-        status = print_json(cli, arguments, &report);
+        status = simplify_tool_print_json(cli, arguments, &report);
     else
-        print_report(cli, arguments, &report);
+        simplify_tool_print_report(cli, arguments, &report);
 done:
     vox_temp_tris_close(temp);
     return status;
@@ -265,9 +266,10 @@ int main(int argc, char **argv)
     (void)mallopt(M_MMAP_THRESHOLD, LARGEST_ON_HEAP);
     (void)mallopt(M_TRIM_THRESHOLD, MOST_FREE_ON_HEAP);
     cli_begin(&cli, "bisque-simplify", argv);
-    int status = parse_arguments(&cli, &arguments, argc, argv);
+    int status = simplify_tool_parse_arguments(&cli, &arguments, argc, argv);
     if (status == 0)
-        status = run(&cli, &arguments, (const char **)argv + optind, (uint32_t)(argc - optind));
+        status = simplify_tool_run(&cli, &arguments, (const char **)argv + optind,
+                                   (uint32_t)(argc - optind));
     for (int i = 0; i < VOX_LEVELS_MAX; i++)
         free(arguments.paths[i]);
     free(arguments.scans.meshes);

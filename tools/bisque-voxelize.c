@@ -7,7 +7,7 @@
 
 /* ---- checks before the work: what would otherwise fail after hours ---- */
 
-static int recognise_inputs(struct voxelize_job *job)
+static int voxelize_tool_recognise_inputs(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
     int status = 0;
@@ -69,7 +69,7 @@ static int choose_tris_path(struct voxelize_job *job)
     return 0;
 }
 
-static int check_outputs(struct voxelize_job *job)
+static int voxelize_tool_check_outputs(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
     const bool makes_tris =
@@ -94,7 +94,7 @@ static int check_memory(struct cli *cli)
 
 /* ---- the work ---- */
 
-static int sort_scan(struct voxelize_job *job)
+static int voxelize_tool_sort_scan(struct voxelize_job *job)
 {
     struct voxelize_arguments *arguments = job->arguments;
     struct vox_sort_options *options = &arguments->sort;
@@ -154,12 +154,12 @@ static int do_work(struct voxelize_job *job)
     if (arguments->grid.vdb_path)
         BSQ_TRY(vox_check_export(job->cli->ctx));
     BSQ_TRY(choose_tris_path(job));
-    BSQ_TRY(check_outputs(job));
+    BSQ_TRY(voxelize_tool_check_outputs(job));
     BSQ_TRY(bsq_temp_check(job->cli->ctx, arguments->grid.grid_path));
     if (job->scans.mesh_count > 0 && !arguments->sort_only)
         BSQ_TRY(vox_temp_tris_create(job->cli->ctx, &job->temp_tris));
     if (job->scans.mesh_count > 0)
-        BSQ_TRY(sort_scan(job));
+        BSQ_TRY(voxelize_tool_sort_scan(job));
     if (arguments->sort_only)
         return 0;
     status = make_grid(job);
@@ -169,7 +169,7 @@ done:
     return status;
 }
 
-static int run(struct voxelize_job *job)
+static int voxelize_tool_run(struct voxelize_job *job)
 {
     struct cli *cli = job->cli;
     struct voxelize_arguments *arguments = job->arguments;
@@ -181,7 +181,7 @@ static int run(struct voxelize_job *job)
     if (arguments->info)
         return voxelize_info_print(cli, arguments->inputs, arguments->input_count);
     BSQ_TRY(note_images(cli->ctx, arguments));
-    BSQ_TRY(recognise_inputs(job));
+    BSQ_TRY(voxelize_tool_recognise_inputs(job));
     BSQ_TRY(do_work(job));
     status = voxelize_report_print(job);
 done:
@@ -199,7 +199,7 @@ int main(int argc, char **argv)
     cli_begin(&cli, "bisque-voxelize", argv);
     int status = voxelize_arguments_parse(&cli, &arguments, argc, argv);
     if (status == 0)
-        status = run(&job);
+        status = voxelize_tool_run(&job);
     vox_temp_tris_close(job.temp_tris);
     free(job.tris_path);
     free(job.scans.meshes);

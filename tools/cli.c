@@ -104,7 +104,7 @@ static int fail_rules(struct cli *cli, const char *what)
 }
 
 /* Adds one rule. */
-static int add_rule(struct cli *cli, const json_t *rule)
+static int cli_add_rule(struct cli *cli, const json_t *rule)
 {
     static const char *const formats[] = {"POSIX", "WINDOWS", "URI"};
     const char *format = json_string_value(json_object_get(rule, "source_path_format"));
@@ -133,7 +133,7 @@ static int add_rules(struct cli *cli, const json_t *root)
     if (rules && !json_is_array(rules))
         return fail_rules(cli, "path_mapping_rules is no list");
     for (size_t i = 0; i < json_array_size(rules) && status == 0; i++)
-        status = add_rule(cli, json_array_get(rules, i));
+        status = cli_add_rule(cli, json_array_get(rules, i));
     return status;
 }
 

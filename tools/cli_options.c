@@ -54,8 +54,8 @@ static int parse_bytes(struct cli *cli, const char *option, const char *text, ui
     return 0;
 }
 
-static int parse_count(struct cli *cli, const char *option, const struct bsq_option *row,
-                       const char *text, uint32_t *out)
+static int cli_parse_count(struct cli *cli, const char *option, const struct bsq_option *row,
+                           const char *text, uint32_t *out)
 {
     char *end;
     errno = 0;
@@ -68,8 +68,8 @@ static int parse_count(struct cli *cli, const char *option, const struct bsq_opt
     return 0;
 }
 
-static int parse_number(struct cli *cli, const char *option, const struct bsq_option *row,
-                        const char *text, double *out)
+static int cli_parse_number(struct cli *cli, const char *option, const struct bsq_option *row,
+                            const char *text, double *out)
 {
     char *end;
     const double value = strtod(text, &end);
@@ -127,10 +127,10 @@ int cli_parse_value(struct cli *cli, const char *option, const struct bsq_option
         return cli_parse_word(cli, option, text, row->words, at);
     case BSQ_OPTION_COUNT:
         *(uint32_t *)at = UINT32_MAX;
-        return is_word ? 0 : parse_count(cli, option, row, text, at);
+        return is_word ? 0 : cli_parse_count(cli, option, row, text, at);
     case BSQ_OPTION_NUMBER:
         *(double *)at = -1;
-        return is_word ? 0 : parse_number(cli, option, row, text, at);
+        return is_word ? 0 : cli_parse_number(cli, option, row, text, at);
     case BSQ_OPTION_BYTES:
         return parse_bytes(cli, option, text, at);
     default:
@@ -383,7 +383,7 @@ static int take_keys(struct parser *parser, const struct cli_table *table,
     return status;
 }
 
-static int take_option(struct parser *parser, int option)
+static int cli_take_option(struct parser *parser, int option)
 {
     struct cli *cli = parser->cli;
     size_t i = 0;
@@ -418,7 +418,7 @@ int cli_parse(struct cli *cli, const struct cli_command *command, int argc, char
     add_table(&parser, &parser.tables[parser.table_count++]);
     while ((option = getopt_long(argc, argv, parser.letters, parser.options, NULL)) != -1) {
         int status = option == '?' || option == ':' ? refuse_option(&parser, option, argv)
-                                                    : take_option(&parser, option);
+                                                    : cli_take_option(&parser, option);
         if (status != 0)
             return status;
     }

@@ -86,7 +86,7 @@ static const char *given_option(const struct voxelize_arguments *arguments, uint
     return NULL;
 }
 
-static struct cli_table table_of(const struct voxelize_arguments *arguments)
+static struct cli_table scan_args_table(const struct voxelize_arguments *arguments)
 {
     return (struct cli_table){rows, ROWS, (void *)(uintptr_t)arguments,
                               (bool *)(uintptr_t)arguments->given};
@@ -179,8 +179,8 @@ static int add_to_list(struct cli *cli, struct voxelize_arguments *arguments, co
 
 /* Adds a channel to those of the chunk file. path: of its image, or NULL; optional: if the scan has
  * it. */
-static int add_channel(struct cli *cli, struct voxelize_arguments *arguments, const char *name,
-                       size_t length, const char *path, bool optional)
+static int scan_args_add_channel(struct cli *cli, struct voxelize_arguments *arguments,
+                                 const char *name, size_t length, const char *path, bool optional)
 {
     const size_t count = arguments->sort.channel_count;
     struct vox_channel *grown = realloc(arguments->channels, (count + 1) * sizeof *grown);
@@ -211,8 +211,8 @@ static int parse_channel(struct cli *cli, struct voxelize_arguments *arguments, 
     arguments->grid.ids |= strcmp(word, "id") == 0;
     if (strcmp(word, "id") == 0 || strcmp(word, "all") == 0 || strcmp(word, "none") == 0)
         return 0;
-    if (add_channel(cli, arguments, word, strcspn(word, "="), equals ? equals + 1 : NULL, false) <
-        0)
+    if (scan_args_add_channel(cli, arguments, word, strcspn(word, "="), equals ? equals + 1 : NULL,
+                              false) < 0)
         return BSQ_EUSAGE;
     const char *name = arguments->channels[arguments->sort.channel_count - 1].name;
     if (!bsq_is_channel_name(name))
@@ -229,7 +229,8 @@ static bool keeps_normal_map(const struct voxelize_arguments *arguments)
     return has_channel(arguments, BSQ_CHANNEL_NORMAL_MAP);
 }
 
-static int take_option(struct cli *cli, void *arg, const struct bsq_option *row, const char *text)
+static int scan_args_take_option(struct cli *cli, void *arg, const struct bsq_option *row,
+                                 const char *text)
 {
     struct voxelize_arguments *arguments = arg;
     int status = 0;
@@ -254,22 +255,22 @@ int voxelize_arguments_add_channels(struct cli *cli, struct voxelize_arguments *
 {
     static const char name[] = BSQ_CHANNEL_NORMAL_MAP;
     const char *path = arguments->grid.scan_normal_map;
-    int status = path ? add_channel(cli, arguments, name, strlen(name), path, false) : 0;
+    int status = path ? scan_args_add_channel(cli, arguments, name, strlen(name), path, false) : 0;
     for (unsigned i = 0; arguments->all_channels && bsq_channel_at(i) && status == 0; i++) {
         const char *any = bsq_channel_at(i)->name;
         if (!has_channel(arguments, any))
-            status = add_channel(cli, arguments, any, strlen(any), NULL, true);
+            status = scan_args_add_channel(cli, arguments, any, strlen(any), NULL, true);
     }
     return status;
 }
 
 /* ---- all of them ---- */
 
-static int check_arguments(struct cli *cli, const struct voxelize_arguments *arguments)
+static int scan_args_check(struct cli *cli, const struct voxelize_arguments *arguments)
 {
     static const char *const exclude[][2] = {
         {"resolution", "voxel-size"}, {"tris", "no-tris"}, {"embed-textures", "no-tris"}};
-    const struct cli_table table = table_of(arguments);
+    const struct cli_table table = scan_args_table(arguments);
     const char *output = arguments->grid.grid_path;
     if (arguments->parse_only && output)
         return cli_usage(cli, "--parse-only writes nothing: leave out --output");
@@ -326,9 +327,9 @@ int voxelize_arguments_check_part(struct cli *cli, const struct voxelize_argumen
 }
 
 /* Sets what follows from the options. */
-static int finish(struct cli *cli, struct voxelize_arguments *arguments)
+static int scan_args_finish(struct cli *cli, struct voxelize_arguments *arguments)
 {
-    const struct cli_table table = table_of(arguments);
+    const struct cli_table table = scan_args_table(arguments);
     if (cli_is_given(&table, "voxel-size"))
         arguments->grid.resolution = 0;
     if (!arguments->grid.ids)
@@ -344,8 +345,9 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
 {
     const struct cli_command command = {
         .usage = usage,
-        .tables = {table_of(arguments), {cli_rows, sizeof cli_rows / sizeof *cli_rows, cli, NULL}},
-        .take = take_option,
+        .tables = {scan_args_table(arguments),
+                   {cli_rows, sizeof cli_rows / sizeof *cli_rows, cli, NULL}},
+        .take = scan_args_take_option,
         .arguments = arguments,
     };
     vox_sort_defaults(&arguments->sort);
@@ -367,15 +369,15 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
                    ? cli_usage(cli, "--info only describes files: leave out --%s",
                                given_option(arguments, 0))
                    : 0;
-    BSQ_TRY(check_arguments(cli, arguments));
-    status = finish(cli, arguments);
+    BSQ_TRY(scan_args_check(cli, arguments));
+    status = scan_args_finish(cli, arguments);
 done:
     return status;
 }
 
 int voxelize_arguments_map_inputs(struct cli *cli, struct voxelize_arguments *arguments)
 {
-    const struct cli_table table = table_of(arguments);
+    const struct cli_table table = scan_args_table(arguments);
     const char **inputs = (const char **)(uintptr_t)arguments->inputs;
     int status = 0;
     BSQ_TRY(cli_map_inputs(cli, &table));

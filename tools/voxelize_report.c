@@ -142,7 +142,7 @@ static json_t *grid_json(const struct vox_voxelize_report *grid)
         CLI_VALUE(grid, seconds));
 }
 
-static int print_json(const struct voxelize_job *job)
+static int voxelize_report_print_json(const struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
     bool keeps_tris = !arguments->parse_only && !job->temporary_tris;
@@ -182,7 +182,7 @@ int voxelize_report_print(const struct voxelize_job *job)
 {
     warn_of_stray_parts(job);
     if (job->cli->json)
-        return print_json(job);
+        return voxelize_report_print_json(job);
     if (job->scans.mesh_count > 0)
         print_read(job);
     if (job->scans.mesh_count > 0 && !job->arguments->parse_only)

@@ -37,13 +37,13 @@ bool bsq_simd_named(const char *name, enum bsq_simd *out)
     return !name;
 }
 
-static void choose(void)
+static void cpu_choose(void)
 {
     bsq_simd_named(getenv("BSQ_SIMD"), &used);
 }
 
 enum bsq_simd bsq_simd_best(void)
 {
-    pthread_once(&used_once, choose);
+    pthread_once(&used_once, cpu_choose);
     return used;
 }

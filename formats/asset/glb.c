@@ -23,7 +23,7 @@ struct document {
 };
 
 /* Adds a view of `bytes` bytes, which begins at a multiple of 4. Returns its number. */
-static int add_view(struct document *d, uint64_t bytes, int stride, int target)
+static int glb_add_view(struct document *d, uint64_t bytes, int stride, int target)
 {
     json_t *view = json_pack("{s:i, s:I, s:I}", "buffer", 0, "byteOffset", (json_int_t)d->bytes,
                              "byteLength", (json_int_t)bytes);
@@ -47,7 +47,8 @@ static int add_accessor(struct document *d, int view, size_t offset, int compone
 }
 
 /* Gives the accessor of positions the bounds that the format demands. */
-static void set_bounds(struct document *d, int accessor, const struct fmt_glb_primitive *primitive)
+static void glb_set_bounds(struct document *d, int accessor,
+                           const struct fmt_glb_primitive *primitive)
 {
     float least[3] = {INFINITY, INFINITY, INFINITY}, most[3] = {-INFINITY, -INFINITY, -INFINITY};
     for (uint32_t i = 0; i < primitive->vertex_count; i++) {
@@ -66,18 +67,19 @@ static void set_bounds(struct document *d, int accessor, const struct fmt_glb_pr
                         json_pack("[f, f, f]", (double)most[0], (double)most[1], (double)most[2]));
 }
 
-static size_t vertex_bytes(const struct fmt_glb_primitive *primitive)
+static size_t glb_vertex_bytes(const struct fmt_glb_primitive *primitive)
 {
     return primitive->vertices ? sizeof *primitive->vertices : sizeof *primitive->shaded;
 }
 
-static void add_primitive(struct document *d, const struct fmt_glb_primitive *from, int material)
+static void glb_add_primitive(struct document *d, const struct fmt_glb_primitive *from,
+                              int material)
 {
     const uint32_t n = from->vertex_count;
-    const size_t stride = vertex_bytes(from);
-    const int vertices = add_view(d, n * (uint64_t)stride, (int)stride, ARRAY_BUFFER);
+    const size_t stride = glb_vertex_bytes(from);
+    const int vertices = glb_add_view(d, n * (uint64_t)stride, (int)stride, ARRAY_BUFFER);
     const int indices =
-        add_view(d, (uint64_t)from->index_count * sizeof(uint32_t), 0, ELEMENT_BUFFER);
+        glb_add_view(d, (uint64_t)from->index_count * sizeof(uint32_t), 0, ELEMENT_BUFFER);
 #define ATTRIBUTE(member, type)                                                                    \
     add_accessor(d, vertices, offsetof(struct fmt_glb_vertex, member), FLOAT, n, type)
     const int position = ATTRIBUTE(position, "VEC3"), normal = ATTRIBUTE(normal, "VEC3");
@@ -89,30 +91,30 @@ static void add_primitive(struct document *d, const struct fmt_glb_primitive *fr
     const int index = add_accessor(d, indices, 0, UINT32, from->index_count, "SCALAR");
     json_t *primitive =
         json_pack("{s:o, s:i, s:i}", "attributes", attributes, "indices", index, "mode", 4);
-    set_bounds(d, position, from);
+    glb_set_bounds(d, position, from);
     if (!from->plain)
         json_object_set_new(primitive, "material", json_integer(material));
     json_array_append_new(d->primitives, primitive);
 }
 
 /* Adds an image and its texture. Returns a reference to it, or NULL without an image. */
-static json_t *add_texture(struct document *d, const struct bsq_file *image)
+static json_t *glb_add_texture(struct document *d, const struct bsq_file *image)
 {
     if (!image)
         return NULL;
     json_array_append_new(d->images,
-                          json_pack("{s:i, s:s}", "bufferView", add_view(d, image->size, 0, 0),
+                          json_pack("{s:i, s:s}", "bufferView", glb_add_view(d, image->size, 0, 0),
                                     "mimeType", "image/png"));
     const int number = (int)json_array_size(d->textures);
     json_array_append_new(d->textures, json_pack("{s:i, s:i}", "source", number, "sampler", 0));
     return json_pack("{s:i}", "index", number);
 }
 
-static void add_material(struct document *d, const struct fmt_glb_material *from)
+static void glb_add_material(struct document *d, const struct fmt_glb_material *from)
 {
-    json_t *base = add_texture(d, from->textures[FMT_GLB_BASE_COLOR]);
-    json_t *normal = add_texture(d, from->textures[FMT_GLB_NORMAL]);
-    json_t *orm = add_texture(d, from->textures[FMT_GLB_ORM]);
+    json_t *base = glb_add_texture(d, from->textures[FMT_GLB_BASE_COLOR]);
+    json_t *normal = glb_add_texture(d, from->textures[FMT_GLB_NORMAL]);
+    json_t *orm = glb_add_texture(d, from->textures[FMT_GLB_ORM]);
     json_t *pbr = json_pack("{s:f, s:f}", "roughnessFactor", 1.0, "metallicFactor",
                             from->metallic ? 1.0 : 0.0);
     json_t *material = json_pack("{s:o}", "pbrMetallicRoughness", pbr);
@@ -145,10 +147,10 @@ static char *make_json(const struct fmt_glb *glb, uint64_t *binary_bytes)
         json_array(), json_array(), json_array(), json_array(), json_array(), json_array(), 0};
     const double *t = glb->translation;
     for (uint32_t i = 0; i < glb->primitive_count; i++)
-        add_primitive(&d, &glb->primitives[i], (int)i);
+        glb_add_primitive(&d, &glb->primitives[i], (int)i);
     for (uint32_t i = 0; i < glb->primitive_count; i++)
         if (!glb->primitives[i].plain)
-            add_material(&d, &glb->materials[i]);
+            glb_add_material(&d, &glb->materials[i]);
     json_t *root = json_pack(
         "{s:{s:s, s:s}, s:i, s:[{s:[i]}], s:[{s:s*, s:i, s:[f, f, f]}], s:[{s:o}], s:[{s:I}]}",
         "asset", "version", "2.0", "generator", "Bisque " BSQ_VERSION, "scene", 0, "scenes",
@@ -212,7 +214,7 @@ static int write_binary(struct bsq_ctx *ctx, const struct fmt_glb *glb, struct b
         const void *vertices =
             primitive->vertices ? (const void *)primitive->vertices : primitive->shaded;
         BSQ_TRY(bsq_output_write(output, vertices,
-                                 (uint64_t)primitive->vertex_count * vertex_bytes(primitive)));
+                                 (uint64_t)primitive->vertex_count * glb_vertex_bytes(primitive)));
         BSQ_TRY(bsq_output_write(output, primitive->indices,
                                  (uint64_t)primitive->index_count * sizeof *primitive->indices));
     }

@@ -127,7 +127,7 @@ static void place_chunk(struct fmt_tris_chunk *out, const uint8_t *bytes,
     out->triangles = (const uint32_t(*)[3])(const void *)(bytes + l->triangles);
 }
 
-static bool all_zero(const uint8_t *bytes, uint64_t count)
+static bool tris_all_zero(const uint8_t *bytes, uint64_t count)
 {
     uint8_t any = 0;
     for (uint64_t i = 0; i < count; i++)
@@ -150,7 +150,7 @@ int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratc
         return status;
     if (XXH3_64bits(bytes, l.bytes) != info->checksum)
         return damaged_chunk(file, index, "the checksum does not match");
-    if (!all_zero(bytes + l.end, l.bytes - l.end))
+    if (!tris_all_zero(bytes + l.end, l.bytes - l.end))
         return damaged_chunk(file, index, "its padding is not zero");
     out->triangle_count = info->triangle_count;
     out->vertex_count = info->vertex_count;
@@ -221,8 +221,8 @@ static bool colors_opaque(const struct fmt_tris_chunk *chunk)
 }
 
 /* Returns what is wrong with a chunk, or NULL. */
-static const char *fault_of(const struct fmt_tris_chunk *chunk,
-                            const struct fmt_tris_chunk_info *info, uint8_t *used)
+static const char *tris_fault_of(const struct fmt_tris_chunk *chunk,
+                                 const struct fmt_tris_chunk_info *info, uint8_t *used)
 {
     const uint64_t sample_bytes = tris_sample_bytes(chunk->triangle_count);
     if (!bounds_exact(chunk, info))
@@ -250,7 +250,7 @@ static int verify_chunk(void *arg, uint64_t index, unsigned worker)
     if (status < 0)
         return status;
     assert(chunk.positions && chunk.triangles);
-    const char *fault = fault_of(&chunk, info, bytes + v->chunk_bytes);
+    const char *fault = tris_fault_of(&chunk, info, bytes + v->chunk_bytes);
     bsq_progress_add(v->ctx, info->size_bytes);
     return fault ? damaged_chunk(v->file, index, fault) : 0;
 }

@@ -36,7 +36,7 @@ int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what)
     return bsq_fail(file->ctx, BSQ_EDATA, "%s: damaged chunk file: %s", file->file.path, what);
 }
 
-static int check_version(const struct fmt_tris_file *file, uint32_t version)
+static int tris_check_version(const struct fmt_tris_file *file, uint32_t version)
 {
     if (version == FMT_TRIS_VERSION)
         return 0;
@@ -73,7 +73,7 @@ static int check_parts(const struct fmt_tris_file *file, const struct tris_file_
     return 0;
 }
 
-static int check_header(const struct fmt_tris_file *file, const struct tris_file_header *h)
+static int tris_check_header(const struct fmt_tris_file *file, const struct tris_file_header *h)
 {
     if (XXH3_64bits(h, offsetof(struct tris_file_header, header_checksum)) != h->header_checksum)
         return fmt_tris_damaged(file, "the header's checksum does not match");
@@ -144,7 +144,7 @@ struct cursor {
 };
 
 /* Copies the next bytes of the file. Returns false if it has fewer. */
-static bool take(struct cursor *cursor, void *to, uint64_t bytes)
+static bool tris_take(struct cursor *cursor, void *to, uint64_t bytes)
 {
     if (cursor->bytes - cursor->at < bytes)
         return false;
@@ -157,7 +157,7 @@ static bool take(struct cursor *cursor, void *to, uint64_t bytes)
 static bool take_text(struct cursor *cursor, uint32_t length, char **out)
 {
     *out = cursor->text;
-    if (!take(cursor, cursor->text, length) || memchr(*out, 0, length))
+    if (!tris_take(cursor, cursor->text, length) || memchr(*out, 0, length))
         return false;
     cursor->text[length] = '\0';
     cursor->text += length + 1;
@@ -213,7 +213,7 @@ static bool take_wrap(uint32_t *bits, struct bsq_uv *out)
     return wraps < 32 && out->wrap[0] < BSQ_WRAPS && out->wrap[1] < BSQ_WRAPS;
 }
 
-static bool all_finite(const float *values, int count)
+static bool tris_all_finite(const float *values, int count)
 {
     float poison = 0.0f;
     for (int i = 0; i < count; i++)
@@ -227,13 +227,14 @@ static int parse_source(struct fmt_tris_file *file, struct cursor *cursor, uint3
                         struct fmt_tris_source *out)
 {
     struct tris_source_entry entry;
-    if (!take(cursor, &entry, sizeof entry))
+    if (!tris_take(cursor, &entry, sizeof entry))
         return fmt_tris_damaged(file, "the materials are cut off");
     const float *scale = entry.scale, *offset = entry.offset;
     const bool known = take_wrap(&entry.bits, &out->uv);
     if (!known || entry.bits > most)
         return fmt_tris_damaged(file, "a material has unknown flags");
-    if (!all_finite(entry.value, 3) || !all_finite(scale, 2) || !all_finite(offset, 2))
+    if (!tris_all_finite(entry.value, 3) || !tris_all_finite(scale, 2) ||
+        !tris_all_finite(offset, 2))
         return fmt_tris_damaged(file, "a value of a material is not finite");
     out->component = entry.bits;
     out->uv.moves = scale[0] != 1 || scale[1] != 1 || offset[0] != 0 || offset[1] != 0;
@@ -247,7 +248,7 @@ static int parse_source(struct fmt_tris_file *file, struct cursor *cursor, uint3
 static bool take_name(struct cursor *cursor, char **out)
 {
     uint32_t length;
-    return take(cursor, &length, sizeof length) && take_text(cursor, length, out);
+    return tris_take(cursor, &length, sizeof length) && take_text(cursor, length, out);
 }
 
 static int parse_material(struct fmt_tris_file *file, struct cursor *cursor,
@@ -382,10 +383,10 @@ static int open_parts(struct fmt_tris_file *file)
     if (memcmp(h.magic, TRIS_MAGIC, got < sizeof h.magic ? got : sizeof h.magic) != 0)
         return bsq_fail(file->ctx, BSQ_EDATA, "%s: not a chunk file", file->file.path);
     if (got >= offsetof(struct tris_file_header, attributes))
-        BSQ_TRY(check_version(file, h.version));
+        BSQ_TRY(tris_check_version(file, h.version));
     if (got < sizeof h)
         return fmt_tris_damaged(file, "the header is cut off");
-    BSQ_TRY(check_header(file, &h));
+    BSQ_TRY(tris_check_header(file, &h));
     copy_header(file, &h);
     BSQ_TRY(read_tail(file, &h));
     BSQ_TRY(parse_materials(file, &h));
@@ -396,7 +397,7 @@ done:
 }
 
 /* Takes ownership of `input`, also on failure. */
-static int open_file(struct bsq_ctx *ctx, struct bsq_file *input, struct fmt_tris_file **out)
+static int tris_open_file(struct bsq_ctx *ctx, struct bsq_file *input, struct fmt_tris_file **out)
 {
     struct fmt_tris_file *file;
     int status = bsq_calloc(ctx, "chunk file", 1, sizeof *file, &file);
@@ -421,7 +422,7 @@ int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **
     struct bsq_file input;
     *out = NULL;
     int status = bsq_file_open(ctx, path, &input);
-    return status < 0 ? status : open_file(ctx, &input, out);
+    return status < 0 ? status : tris_open_file(ctx, &input, out);
 }
 
 int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp, struct fmt_tris_file **out)
@@ -429,7 +430,7 @@ int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp, struct 
     struct bsq_file input;
     *out = NULL;
     int status = bsq_file_duplicate(ctx, temp, &input);
-    return status < 0 ? status : open_file(ctx, &input, out);
+    return status < 0 ? status : tris_open_file(ctx, &input, out);
 }
 
 void fmt_tris_close(struct fmt_tris_file *file)

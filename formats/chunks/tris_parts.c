@@ -21,7 +21,7 @@ static const char normal_map[] = BSQ_CHANNEL_NORMAL_MAP;
 /* ---- opening ---- */
 
 /* Opens a part and closes its descriptor. */
-static int open_part(struct bsq_ctx *ctx, const char *path, struct tris_part *part)
+static int parts_open_part(struct bsq_ctx *ctx, const char *path, struct tris_part *part)
 {
     int status = fmt_tris_open(ctx, path, &part->file);
     if (status < 0)
@@ -101,7 +101,7 @@ static int warn_of_colors(const struct fmt_tris_file *all, bool lossy)
     return 0;
 }
 
-static int compare_colors(const struct fmt_tris_file *all)
+static int parts_compare_colors(const struct fmt_tris_file *all)
 {
     if (!(all->header.attributes & FMT_TRIS_COLORS))
         return 0;
@@ -279,7 +279,7 @@ int fmt_tris_require_ids(const struct fmt_tris_file *file)
                     bsq_ids_text(other->header.ids));
 }
 
-static int join(struct fmt_tris_file *all)
+static int parts_join(struct fmt_tris_file *all)
 {
     uint64_t chunks = 0;
     int status;
@@ -290,7 +290,7 @@ static int join(struct fmt_tris_file *all)
     BSQ_TRY(join_channels(all));
     BSQ_TRY(join_sources(all));
     BSQ_TRY(check_normals(all));
-    BSQ_TRY(compare_colors(all));
+    BSQ_TRY(parts_compare_colors(all));
     BSQ_TRY(bsq_alloc(all->ctx, "chunk table", chunks + 1, sizeof *all->chunks, &all->chunks));
     for (uint32_t i = 0; i < all->part_count; i++)
         BSQ_TRY(join_chunks(all, &all->parts[i]));
@@ -333,7 +333,7 @@ static int open_all(struct fmt_tris_file *all, const char *const *paths, uint32_
     const uint64_t count = (uint64_t)path_count + (temp != NULL);
     int status = bsq_calloc(all->ctx, "chunk files", count, sizeof *all->parts, &all->parts);
     for (; status == 0 && all->part_count < path_count; all->part_count++)
-        status = open_part(all->ctx, paths[all->part_count], &all->parts[all->part_count]);
+        status = parts_open_part(all->ctx, paths[all->part_count], &all->parts[all->part_count]);
     if (status == 0 && temp)
         status = fmt_tris_open_temp(all->ctx, temp, &all->parts[all->part_count++].file);
     return status;
@@ -359,7 +359,7 @@ int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t 
     if (!all->file.path)
         status = bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", paths[0]);
     else
-        status = join(all);
+        status = parts_join(all);
 done:
     if (status < 0)
         fmt_tris_close(all);
@@ -395,8 +395,8 @@ static const struct tris_part *find_part(const struct fmt_tris_file *all, uint64
 /* Places the attributes that a part lacks after a loaded chunk, and returns the bytes of all. Fills
  * them in unless `chunk` is NULL: with white, and no material, as sorting does for vertices and
  * faces without. */
-static uint64_t add_attributes(const struct fmt_tris_file *all, const struct tris_part *part,
-                               uint64_t index, uint8_t *scratch, struct fmt_tris_chunk *chunk)
+static uint64_t parts_add_attributes(const struct fmt_tris_file *all, const struct tris_part *part,
+                                     uint64_t index, uint8_t *scratch, struct fmt_tris_chunk *chunk)
 {
     const struct fmt_tris_chunk_info *info = &all->chunks[index];
     const uint32_t own = part->file->header.attributes | FMT_TRIS_SAMPLES;
@@ -417,7 +417,7 @@ static uint64_t add_attributes(const struct fmt_tris_file *all, const struct tri
 
 uint64_t fmt_tris_part_load_size(const struct fmt_tris_file *all, uint64_t index)
 {
-    return add_attributes(all, find_part(all, index), index, NULL, NULL);
+    return parts_add_attributes(all, find_part(all, index), index, NULL, NULL);
 }
 
 /* Changes positions and materials, which lie in `scratch`. */
@@ -447,7 +447,7 @@ int fmt_tris_load_part(const struct fmt_tris_file *all, uint64_t index, void *sc
     make_common(part, out);
     if (!found) {
         fmt_tris_apply_welds(all, index, (float(*)[3])out->positions);
-        add_attributes(all, part, index, scratch, out);
+        parts_add_attributes(all, part, index, scratch, out);
     }
 done:
     if (named)

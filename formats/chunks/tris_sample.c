@@ -24,7 +24,8 @@ enum { RUN = 2 * TRIS_SURFEL_RUN, EXAMINED = 5, LOOKED_AT = 8, LEAST = 1024, FAR
 /* ---- making ---- */
 
 /* Loads a corner of a triangle. The fourth number is the next one in memory. */
-static four_floats corner_of(const struct fmt_tris_chunk *chunk, uint32_t triangle, int corner)
+static four_floats sample_corner_of(const struct fmt_tris_chunk *chunk, uint32_t triangle,
+                                    int corner)
 {
     return four_floats_load(chunk->positions[chunk->triangles[triangle][corner]]);
 }
@@ -43,7 +44,8 @@ static float far_distance(const struct fmt_tris_chunk *chunk)
     uint32_t counts[1 << (32 - FAR_BITS)] = {0}, far = sizeof counts / sizeof *counts, sum = 0;
     float distance;
     for (uint32_t t = 1; t < chunk->triangle_count; t += LOOKED_AT) {
-        const four_floats d = distances(corner_of(chunk, t - 1, 0), corner_of(chunk, t, 0));
+        const four_floats d =
+            distances(sample_corner_of(chunk, t - 1, 0), sample_corner_of(chunk, t, 0));
         uint32_t bits;
         distance = d[0] > d[1] ? d[0] : d[1];
         distance = d[2] > distance ? d[2] : distance;
@@ -65,7 +67,7 @@ struct run {
     float side;                /* of facing() */
 };
 
-static struct bsq_vec3 vector(const float v[3])
+static struct bsq_vec3 sample_vector(const float v[3])
 {
     return bsq_v3(v[0], v[1], v[2]);
 }
@@ -74,8 +76,9 @@ static struct bsq_vec3 vector(const float v[3])
 static void area_vector(const struct fmt_tris_chunk *chunk, uint32_t triangle, float out[3])
 {
     const uint32_t *v = chunk->triangles[triangle];
-    const struct bsq_vec3 a = vector(chunk->positions[v[0]]), b = vector(chunk->positions[v[1]]),
-                          c = vector(chunk->positions[v[2]]);
+    const struct bsq_vec3 a = sample_vector(chunk->positions[v[0]]),
+                          b = sample_vector(chunk->positions[v[1]]),
+                          c = sample_vector(chunk->positions[v[2]]);
     const struct bsq_vec3 n = bsq_cross3(bsq_sub3(b, a), bsq_sub3(c, a));
     memcpy(out, &n, sizeof n);
 }
@@ -85,10 +88,11 @@ static float facing(const struct fmt_tris_chunk *chunk, uint32_t triangle, const
 {
     if (!chunk->normals)
         return 0.0f;
-    return bsq_dot3(bsq_oct_unpack(chunk->normals[chunk->triangles[triangle][0]]), vector(n));
+    return bsq_dot3(bsq_oct_unpack(chunk->normals[chunk->triangles[triangle][0]]),
+                    sample_vector(n));
 }
 
-static void examine(const struct fmt_tris_chunk *chunk, uint32_t triangle, struct run *p)
+static void sample_examine(const struct fmt_tris_chunk *chunk, uint32_t triangle, struct run *p)
 {
     const uint32_t *v = chunk->triangles[triangle];
     float n[3];
@@ -99,21 +103,22 @@ static void examine(const struct fmt_tris_chunk *chunk, uint32_t triangle, struc
             (chunk->positions[v[0]][k] + chunk->positions[v[1]][k] + chunk->positions[v[2]][k]) /
             3.0f;
     }
-    p->area += bsq_length3(vector(n));
+    p->area += bsq_length3(sample_vector(n));
     p->examined++;
     p->side += facing(chunk, triangle, n);
 }
 
 /* Gathers a run that begins with a triangle and ends before one that is `far` away. Returns its
  * end. */
-static uint32_t gather(const struct fmt_tris_chunk *chunk, uint32_t begin, float far, struct run *p)
+static uint32_t sample_gather(const struct fmt_tris_chunk *chunk, uint32_t begin, float far,
+                              struct run *p)
 {
     const uint32_t left = chunk->triangle_count - begin, most = begin + (left < RUN ? left : RUN);
-    four_floats before = corner_of(chunk, begin, 0), low = before, high = before;
+    four_floats before = sample_corner_of(chunk, begin, 0), low = before, high = before;
     uint32_t end = begin;
     for (; end < most; end++) {
-        const four_floats a = corner_of(chunk, end, 0), b = corner_of(chunk, end, 1),
-                          c = corner_of(chunk, end, 2), d = distances(a, before);
+        const four_floats a = sample_corner_of(chunk, end, 0), b = sample_corner_of(chunk, end, 1),
+                          c = sample_corner_of(chunk, end, 2), d = distances(a, before);
         if ((d[0] >= far) | (d[1] >= far) | (d[2] >= far))
             break;
         low = four_floats_min(low, four_floats_min(a, four_floats_min(b, c)));
@@ -124,7 +129,7 @@ static uint32_t gather(const struct fmt_tris_chunk *chunk, uint32_t begin, float
     memcpy(p->low, &low, sizeof p->low);
     memcpy(p->high, &high, sizeof p->high);
     for (uint32_t t = begin; t < end; t += EXAMINED)
-        examine(chunk, t, p);
+        sample_examine(chunk, t, p);
     return end;
 }
 
@@ -142,15 +147,15 @@ static uint16_t to_grid(float at, float low, float high, float rounding)
 }
 
 /* Sets the plane of a run. Returns false if its triangles face different ways. */
-static bool set_plane(const struct run *p, const struct fmt_tris_chunk_info *info,
-                      struct tris_surfel *out)
+static bool sample_set_plane(const struct run *p, const struct fmt_tris_chunk_info *info,
+                             struct tris_surfel *out)
 {
     const float steady = 0.8f, *n = p->normal;
-    const float length = bsq_length3(vector(n));
+    const float length = bsq_length3(sample_vector(n));
     if (!(length > steady * p->area) || !isfinite(length))
         return false;
     const float scale = (p->side < 0.0f ? -1.0f : 1.0f) / length;
-    out->normal = bsq_oct_pack(bsq_scale3(vector(n), scale));
+    out->normal = bsq_oct_pack(bsq_scale3(sample_vector(n), scale));
     const int z = main_axis(n), x = (z + 1) % 3, y = (z + 2) % 3;
     const float dx = 0.5f * (p->low[x] + p->high[x]) - p->middle[x] / p->examined,
                 dy = 0.5f * (p->low[y] + p->high[y]) - p->middle[y] / p->examined;
@@ -184,7 +189,7 @@ void fmt_tris_make_sample(const struct fmt_tris_chunk *chunk,
     for (uint32_t begin = 0, end; begin < count; begin = end, out += sizeof(struct tris_surfel)) {
         struct tris_surfel surfel;
         struct run run;
-        end = gather(chunk, begin, far, &run);
+        end = sample_gather(chunk, begin, far, &run);
         /* There is a record for as many short runs as full ones. */
         short_runs += end - begin < RUN;
         if (short_runs >= count / RUN)
@@ -194,7 +199,7 @@ void fmt_tris_make_sample(const struct fmt_tris_chunk *chunk,
             surfel.low[k] = to_grid(run.low[k], low, high, 0.0f);
             surfel.high[k] = to_grid(run.high[k], low, high, 1.0f);
         }
-        if (!set_plane(&run, info, &surfel))
+        if (!sample_set_plane(&run, info, &surfel))
             surfel.normal = TRIS_NOT_A_PLANE | directions(chunk, begin, end);
         memcpy(out, &surfel, sizeof surfel);
     }
@@ -232,7 +237,8 @@ static void add_rectangle(struct surface *s, int z, const float low[3], const fl
 
 /* Adds a rectangle for each direction into which triangles of a patch face: in its middle, or if
  * some face the opposite way, as those of a thin wall, on either side. */
-static void add_box(struct surface *s, const float low[3], const float high[3], uint32_t directions)
+static void sample_add_box(struct surface *s, const float low[3], const float high[3],
+                           uint32_t directions)
 {
     static const float flat[2] = {0, 0};
     for (int z = 0; z < 3; z++) {
@@ -257,7 +263,7 @@ static void add_surfel(struct surface *s, const struct tris_surfel *surfel,
         high[k] = info->bounds_min[k] + (float)surfel->high[k] * step;
     }
     if (surfel->normal >> 16 == TRIS_NOT_A_PLANE >> 16) {
-        add_box(s, low, high, surfel->normal);
+        sample_add_box(s, low, high, surfel->normal);
         return;
     }
     const struct bsq_vec3 unit = bsq_oct_unpack(surfel->normal);
@@ -273,7 +279,7 @@ static bool is_empty(const struct tris_surfel *surfel)
     return memcmp(surfel, &none, sizeof none) == 0;
 }
 
-static bool is_valid(const struct tris_surfel *surfel)
+static bool sample_is_valid(const struct tris_surfel *surfel)
 {
     const uint32_t lower = surfel->normal & 0xffff, upper = surfel->normal >> 16;
     bool valid = upper == TRIS_NOT_A_PLANE >> 16 ? lower < 1 << 6 : lower != 0x8000;
@@ -288,7 +294,7 @@ bool fmt_tris_sample_valid(const void *sample, uint32_t triangles)
     for (uint32_t i = 0; i < tris_surfel_count(triangles); i++) {
         struct tris_surfel surfel;
         memcpy(&surfel, (const uint8_t *)sample + i * sizeof surfel, sizeof surfel);
-        valid &= is_valid(&surfel) && !(ended && !is_empty(&surfel));
+        valid &= sample_is_valid(&surfel) && !(ended && !is_empty(&surfel));
         ended |= is_empty(&surfel);
     }
     return valid;

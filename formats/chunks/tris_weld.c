@@ -64,7 +64,7 @@ static void set_tolerances(struct welding *w, const struct tris_part *other)
 }
 
 /* Returns whether vertices of a chunk may be within the tolerance of those of the own chunk. */
-static bool touches(const struct welding *w, const struct fmt_tris_chunk_info *other)
+static bool weld_touches(const struct welding *w, const struct fmt_tris_chunk_info *other)
 {
     const struct fmt_tris_chunk_info *own = &w->all->chunks[w->chunk];
     bool yes = true;
@@ -78,7 +78,7 @@ static bool touches(const struct welding *w, const struct fmt_tris_chunk_info *o
 
 /* Computes the cell of a position that is moved by `sign` tolerances on the axes of `mask`. Large
  * numbers of cells are rounded, alike for all vertices near each other. */
-static void cell_of(const struct welding *w, const float p[3], unsigned mask, float cell[3])
+static void weld_cell_of(const struct welding *w, const float p[3], unsigned mask, float cell[3])
 {
     for (int axis = 0; axis < 3; axis++) {
         const double sign = mask >> axis & 1 ? 1.0 : -1.0;
@@ -94,7 +94,7 @@ static void own_cell(const struct welding *w, const float p[3], float cell[3])
         cell[axis] = (float)floor(p[axis] / (4.0 * w->tolerance[axis]));
 }
 
-static bool is_same(const float a[3], const float b[3])
+static bool weld_is_same(const float a[3], const float b[3])
 {
     return a[0] == b[0] && a[1] == b[1] && a[2] == b[2];
 }
@@ -105,7 +105,7 @@ static void add_to_cells(const struct welding *w, struct cells *c, const float p
     own_cell(w, p, cell);
     uint32_t *slot = bsq_positions_find(&c->table, cell);
     for (uint32_t v = *slot; v != 0; v = c->next[v - 1])
-        if (is_same(c->positions[v - 1], p))
+        if (weld_is_same(c->positions[v - 1], p))
             return;
     memcpy(c->numbers[c->count], cell, sizeof cell);
     memcpy(c->positions[c->count], p, sizeof *c->positions);
@@ -123,7 +123,7 @@ static void fill_cells(struct welding *w)
         const float *p = w->other.positions[v];
         const struct fmt_tris_chunk_info point = {.bounds_min = {p[0], p[1], p[2]},
                                                   .bounds_max = {p[0], p[1], p[2]}};
-        if (touches(w, &point))
+        if (weld_touches(w, &point))
             add_to_cells(w, c, p);
     }
 }
@@ -167,9 +167,9 @@ static void match_vertex(const struct welding *w, uint32_t vertex)
     float before[8][3];
     for (unsigned mask = 0; mask < 8; mask++) {
         bool again = false;
-        cell_of(w, w->own.positions[vertex], mask, before[mask]);
+        weld_cell_of(w, w->own.positions[vertex], mask, before[mask]);
         for (unsigned k = 0; k < mask; k++)
-            again |= is_same(before[k], before[mask]);
+            again |= weld_is_same(before[k], before[mask]);
         if (!again)
             match_cell(w, vertex, before[mask]);
     }
@@ -190,7 +190,7 @@ static int match_part(struct welding *w, const struct tris_part *other)
     set_tolerances(w, other);
     for (uint64_t i = 0; i < other->file->header.chunk_count; i++) {
         const uint64_t number = other->first_chunk + i;
-        if (!touches(w, &w->all->chunks[number]))
+        if (!weld_touches(w, &w->all->chunks[number]))
             continue;
         BSQ_TRY(w->own.vertex_count == 0 ? load_own(w) : 0);
         BSQ_TRY(fmt_tris_load_part(w->all, number, w->other_scratch, &w->other, NULL));
@@ -215,7 +215,7 @@ static void widen(float min[3], float max[3], const float p[3])
 }
 
 /* Keeps the vertices that move. */
-static int keep(const struct welding *w)
+static int weld_keep(const struct welding *w)
 {
     struct fmt_tris_file *all = w->all;
     struct fmt_tris_chunk_info *info = &all->chunks[w->chunk];
@@ -244,7 +244,7 @@ static int weld_part(struct welding *w, uint32_t number)
         w->own.vertex_count = 0;
         for (uint32_t k = 0; k < number; k++)
             BSQ_TRY(match_part(w, &w->all->parts[k]));
-        BSQ_TRY(keep(w));
+        BSQ_TRY(weld_keep(w));
     }
 done:
     return status;
@@ -259,7 +259,7 @@ static bool origins_differ(const struct fmt_tris_file *all)
     return differ;
 }
 
-static int allocate(struct welding *w)
+static int weld_allocate(struct welding *w)
 {
     struct bsq_ctx *ctx = w->all->ctx;
     struct cells *c = &w->cells;
@@ -289,7 +289,7 @@ int fmt_tris_weld_parts(struct fmt_tris_file *all)
     int status;
     if (!origins_differ(all))
         return 0;
-    BSQ_TRY(allocate(&w));
+    BSQ_TRY(weld_allocate(&w));
     for (uint32_t i = 1; i < all->part_count; i++)
         BSQ_TRY(weld_part(&w, i));
 done:

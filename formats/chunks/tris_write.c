@@ -156,7 +156,7 @@ void fmt_tris_discard(struct fmt_tris_writer *writer)
 
 /* ---- images ---- */
 
-static const char *find_image(const struct fmt_tris_writer *writer, const char *path)
+static const char *tris_find_image(const struct fmt_tris_writer *writer, const char *path)
 {
     for (uint64_t i = 0; i < writer->image_count; i++)
         if (strcmp(writer->images[i].path, path) == 0)
@@ -180,7 +180,7 @@ static int embed(struct fmt_tris_writer *writer, const char *path, XXH3_state_t 
     struct bsq_extent from, to = {.offset = bsq_output_tell(writer->output)};
     struct bsq_file file = BSQ_FILE_CLOSED;
     int status = 0;
-    if (!path || bsq_has_tiles(path) || find_image(writer, path))
+    if (!path || bsq_has_tiles(path) || tris_find_image(writer, path))
         return 0;
     BSQ_TRY(bsq_grow(writer->ctx, "images", writer->image_count + 1, sizeof *writer->images,
                      &writer->images, &writer->image_capacity));
@@ -226,7 +226,7 @@ done:
 /* ---- materials ---- */
 
 /* Appends bytes to the materials. */
-static int put(struct fmt_tris_writer *writer, const void *from, uint64_t bytes)
+static int tris_put(struct fmt_tris_writer *writer, const void *from, uint64_t bytes)
 {
     int status = bsq_grow(writer->ctx, "materials", writer->materials_bytes + bytes, 1,
                           &writer->materials, &writer->materials_capacity);
@@ -249,15 +249,15 @@ static int put_text(struct fmt_tris_writer *writer, const void *entry, uint64_t 
     if (length >= TRIS_NO_PATH)
         return bsq_fail(writer->ctx, BSQ_EUSAGE, "a material's name or path has %" PRIu64 " bytes",
                         length);
-    int status = put(writer, entry, bytes);
-    return status < 0 ? status : put(writer, text, length);
+    int status = tris_put(writer, entry, bytes);
+    return status < 0 ? status : tris_put(writer, text, length);
 }
 
 /* Appends what a material and a channel of one have first. bits: beside those of `uv`. */
 static int put_source(struct fmt_tris_writer *writer, const float value[3], uint32_t bits,
                       const struct bsq_uv *uv, const char *texture_path)
 {
-    const char *image = texture_path ? find_image(writer, texture_path) : NULL;
+    const char *image = texture_path ? tris_find_image(writer, texture_path) : NULL;
     const char *path = image ? image : texture_path;
     struct tris_source_entry entry = {.value = {value[0], value[1], value[2]},
                                       .bits = bits | wrap_bits(uv),
@@ -300,7 +300,8 @@ static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tri
         BSQ_TRY(put_name(writer, header->channels[c]));
     for (uint32_t i = 0; i < header->material_count; i++)
         BSQ_TRY(put_material(writer, &header->materials[i], header->channel_count));
-    status = put(writer, zeros, bsq_align_up(writer->materials_bytes, 8) - writer->materials_bytes);
+    status =
+        tris_put(writer, zeros, bsq_align_up(writer->materials_bytes, 8) - writer->materials_bytes);
 done:
     return status;
 }
@@ -308,8 +309,8 @@ done:
 /* ---- the file ---- */
 
 /* Creates the file `path` or, if `path` is NULL, a temporary file beside the file `beside`. */
-static int create(struct bsq_ctx *ctx, const char *path, const char *beside,
-                  const struct fmt_tris_header *header, struct fmt_tris_writer **out)
+static int tris_create(struct bsq_ctx *ctx, const char *path, const char *beside,
+                       const struct fmt_tris_header *header, struct fmt_tris_writer **out)
 {
     static const struct tris_file_header zeros;
     struct fmt_tris_writer *writer = NULL;
@@ -342,13 +343,13 @@ done:
 int fmt_tris_create(struct bsq_ctx *ctx, const char *path, const struct fmt_tris_header *header,
                     struct fmt_tris_writer **out)
 {
-    return create(ctx, path, NULL, header, out);
+    return tris_create(ctx, path, NULL, header, out);
 }
 
 int fmt_tris_create_temp(struct bsq_ctx *ctx, const char *beside,
                          const struct fmt_tris_header *header, struct fmt_tris_writer **out)
 {
-    return create(ctx, NULL, beside, header, out);
+    return tris_create(ctx, NULL, beside, header, out);
 }
 
 static void extend_bounds(struct tris_file_header *header, const struct fmt_tris_chunk_info *info)
@@ -389,7 +390,7 @@ void fmt_tris_skip(struct fmt_tris_writer *writer, uint64_t triangles)
 }
 
 /* Writes materials, table and header. */
-static int finish(struct fmt_tris_writer *writer)
+static int tris_finish(struct fmt_tris_writer *writer)
 {
     struct tris_file_header *h = &writer->header;
     const uint64_t table_bytes = h->chunk_count * sizeof *writer->table;
@@ -412,7 +413,7 @@ int fmt_tris_commit(struct fmt_tris_writer *writer, struct bsq_file *out)
     int status;
     if (out)
         *out = (struct bsq_file)BSQ_FILE_CLOSED;
-    BSQ_TRY(finish(writer));
+    BSQ_TRY(tris_finish(writer));
     if (out && !writer->temporary)
         BSQ_TRY(bsq_output_read(writer->output, out));
     status = writer->temporary ? bsq_output_keep_temp(writer->output, out)

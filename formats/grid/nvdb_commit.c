@@ -60,7 +60,7 @@ static void expand_node(const struct nvdb_level *level, uint64_t node_offset,
 
 /* Reads the next bytes of a stream. At its end, checks that all were as they were written: the grid
  * must not hold anything else that got into the temporary file. */
-static int read_stream(struct nvdb_stream *stream, void *to, uint64_t size, uint64_t offset)
+static int nvdb_read_stream(struct nvdb_stream *stream, void *to, uint64_t size, uint64_t offset)
 {
     int status = bsq_file_read(stream->ctx, &stream->file, to, size, offset);
     if (status)
@@ -75,7 +75,7 @@ static int read_stream(struct nvdb_stream *stream, void *to, uint64_t size, uint
 
 /* ---- sections ---- */
 
-static int write_bytes(struct section *s, const void *bytes, uint64_t size)
+static int nvdb_write_bytes(struct section *s, const void *bytes, uint64_t size)
 {
     int status = bsq_output_write_at(s->commit->writer->output, bytes, size, s->at);
     s->at += size;
@@ -85,7 +85,7 @@ static int write_bytes(struct section *s, const void *bytes, uint64_t size)
 static int write_hashed(struct section *s, const void *bytes, uint64_t size)
 {
     XXH3_64bits_update(s->hash, bytes, size);
-    return write_bytes(s, bytes, size);
+    return nvdb_write_bytes(s, bytes, size);
 }
 
 static int write_nodes(struct section *s, const struct nvdb_level *level)
@@ -96,7 +96,7 @@ static int write_nodes(struct section *s, const struct nvdb_level *level)
     int status = 0;
     for (uint64_t at = 0; at < stubs->size; at += stub_bytes) {
         struct nvdb_stub stub;
-        BSQ_TRY(read_stream(stubs, &stub, stub_bytes, at));
+        BSQ_TRY(nvdb_read_stream(stubs, &stub, stub_bytes, at));
         if (fill + level->node_bytes > PART_BYTES) {
             BSQ_TRY(write_hashed(s, s->part, fill));
             fill = 0;
@@ -117,14 +117,14 @@ static int write_streams(struct section *s, struct nvdb_stream streams[2])
     for (int i = 0; i < 2; i++)
         for (uint64_t at = 0, size; at < streams[i].size; at += size) {
             size = streams[i].size - at < PART_BYTES ? streams[i].size - at : PART_BYTES;
-            BSQ_TRY(read_stream(&streams[i], s->part, size, at));
-            BSQ_TRY(i == 0 ? write_bytes(s, s->part, size) : write_hashed(s, s->part, size));
+            BSQ_TRY(nvdb_read_stream(&streams[i], s->part, size, at));
+            BSQ_TRY(i == 0 ? nvdb_write_bytes(s, s->part, size) : write_hashed(s, s->part, size));
         }
 done:
     return status;
 }
 
-static int write_content(struct section *s)
+static int nvdb_write_content(struct section *s)
 {
     struct commit *commit = s->commit;
     const uint64_t size = commit->layout.section[s->number].size;
@@ -141,7 +141,7 @@ static int write_content(struct section *s)
         return write_hashed(s, commit->writer->names, size);
     case NVDB_TRAILER:
         commit->trailer.trailer_checksum = fmt_nvdb_trailer_checksum(&commit->trailer);
-        return write_bytes(s, &commit->trailer, size);
+        return nvdb_write_bytes(s, &commit->trailer, size);
     default:
         return write_streams(s, commit->writer->stream[s->number]);
     }
@@ -163,9 +163,9 @@ static int write_section(void *arg, uint64_t number, unsigned worker)
     if (!s.hash)
         return bsq_fail(commit->writer->ctx, BSQ_ENOMEM, "no memory for a checksum");
     XXH3_64bits_reset(s.hash);
-    BSQ_TRY(write_bytes(&s, zeros, range->offset - before));
+    BSQ_TRY(nvdb_write_bytes(&s, zeros, range->offset - before));
     if (range->size > 0)
-        BSQ_TRY(write_content(&s));
+        BSQ_TRY(nvdb_write_content(&s));
     if (s.at != range->offset + range->size)
         status = bsq_fail(commit->writer->ctx, BSQ_EBUG, "%s: section %d has a wrong size",
                           commit->writer->path, s.number);
@@ -209,7 +209,7 @@ static void fill_head(const struct fmt_nvdb_writer *writer, const struct nvdb_la
            sizeof(checksum));
 }
 
-static int write_file(struct fmt_nvdb_writer *writer)
+static int nvdb_write_file(struct fmt_nvdb_writer *writer)
 {
     struct commit commit = {.writer = writer};
     const struct nvdb_layout *layout = &commit.layout;
@@ -265,7 +265,7 @@ int fmt_nvdb_finish(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *tota
     int status;
     *out = NULL;
     BSQ_TRY(fmt_nvdb_writer_finish(writer));
-    BSQ_TRY(write_file(writer));
+    BSQ_TRY(nvdb_write_file(writer));
     BSQ_TRY(bsq_parallel_for(writer->ctx, 1 + 2 * NVDB_TRAILER, sync_or_close, writer));
     fill_totals(writer, totals);
     *out = writer->output;

@@ -105,7 +105,7 @@ void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layou
 }
 
 /* Sets the numbers of the lowest and highest set bit; `bits` is not zero. */
-static void bit_range(uint32_t bits, int32_t *low, int32_t *high)
+static void nvdb_bit_range(uint32_t bits, int32_t *low, int32_t *high)
 {
     *low = __builtin_ctz(bits);
     *high = 31 - __builtin_clz(bits);
@@ -130,7 +130,7 @@ uint32_t fmt_nvdb_leaf_bounds(const int32_t origin[3], const uint64_t mask[8], i
         return 0;
     for (int axis = 0; axis < 3; axis++) {
         int32_t low, high;
-        bit_range(bits[axis], &low, &high);
+        nvdb_bit_range(bits[axis], &low, &high);
         bbox_min[axis] = origin[axis] + low;
         bbox_max[axis] = origin[axis] + high;
     }
@@ -221,9 +221,9 @@ static void fill_map(const struct fmt_nvdb_info *info, struct nvdb_map *map)
     map->taper_f = 1.0f;
 }
 
-static void fill_grid(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
-                      const struct nvdb_layout *layout, const struct nvdb_root *root,
-                      struct nvdb_grid_data *grid)
+static void nvdb_fill_grid_data(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
+                                const struct nvdb_layout *layout, const struct nvdb_root *root,
+                                struct nvdb_grid_data *grid)
 {
     grid->magic = NVDB_MAGIC;
     grid->version = nvdb_version(counts->type);
@@ -283,7 +283,7 @@ void fmt_nvdb_fill_fixed(const struct fmt_nvdb_info *info, const struct nvdb_cou
     struct nvdb_fixed fixed = {.root.tile_count = counts->uppers};
     memcpy(fixed.root.bbox_min, bbox_min, sizeof fixed.root.bbox_min);
     memcpy(fixed.root.bbox_max, bbox_max, sizeof fixed.root.bbox_max);
-    fill_grid(info, counts, layout, &fixed.root, &fixed.grid);
+    nvdb_fill_grid_data(info, counts, layout, &fixed.root, &fixed.grid);
     fill_tree(counts, layout, &fixed.tree);
     fmt_nvdb_fill_file_head(&fixed);
     memset(head, 0, layout->tiles);

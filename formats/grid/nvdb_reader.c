@@ -16,7 +16,7 @@ struct head {
     const uint8_t *file;
     uint64_t size;
     struct nvdb_fixed fixed; /* copied, with zeros after the end of the file */
-    /* Valid after read_trailer(), read_counts() and read_channels(). */
+    /* Valid after read_trailer(), read_counts() and nvdb_read_channels(). */
     struct nvdb_trailer trailer;
     struct nvdb_counts counts;
     struct nvdb_layout layout;
@@ -37,7 +37,7 @@ static int fail_version(const struct head *h)
 }
 
 /* Copies a name for a message; characters that are not printable ASCII become '?'. */
-static void copy_name(const char *from, uint64_t size, char out[64])
+static void nvdb_copy_name(const char *from, uint64_t size, char out[64])
 {
     uint64_t n = 0;
     while (n < size && n < 63 && from[n] != 0) {
@@ -56,8 +56,9 @@ static int fail_foreign(const struct head *h)
         "FloatN", "Vec4f", "Vec4d",  "Index", "OnIndex", "IndexMask", "OnIndexMask"};
     char name[64];
     const uint64_t start = offsetof(struct nvdb_fixed, name), available = h->size - start;
-    copy_name((const char *)h->file + start,
-              h->fixed.meta.name_bytes < available ? h->fixed.meta.name_bytes : available, name);
+    nvdb_copy_name((const char *)h->file + start,
+                   h->fixed.meta.name_bytes < available ? h->fixed.meta.name_bytes : available,
+                   name);
     uint32_t type = h->fixed.meta.grid_type;
     if (type == 0 || type >= sizeof(types) / sizeof(*types))
         return bsq_fail(h->ctx, BSQ_EDATA,
@@ -201,7 +202,7 @@ static int read_counts(struct head *h)
 
 /* Reads how many values the channels have, from the list at the beginning of their section, and
  * computes the layout. How many they are does not change where the section begins. */
-static int read_channels(struct head *h)
+static int nvdb_read_channels(struct head *h)
 {
     struct nvdb_channels_head head;
     fmt_nvdb_layout_compute(&h->counts, &h->layout);
@@ -271,7 +272,7 @@ static int check_head(const struct head *h)
 }
 
 /* Returns a section of the file, NULL if the grid lacks it. */
-static const void *section_of(const struct head *h, enum nvdb_section section)
+static const void *nvdb_section_of(const struct head *h, enum nvdb_section section)
 {
     const bool has = nvdb_has(h->counts.flags, section);
     return has ? h->file + h->layout.section[section].offset : NULL;
@@ -295,9 +296,9 @@ static void fill_grid(const struct head *h, struct fmt_nvdb_grid *grid)
     grid->grid_bytes = fixed->grid.grid_bytes;
     grid->root = h->file + NVDB_ROOT_OFFSET;
     grid->tiles = h->file + h->layout.tiles;
-    grid->uppers = section_of(h, NVDB_UPPERS);
-    grid->lowers = section_of(h, NVDB_LOWERS);
-    grid->leaves = section_of(h, NVDB_LEAVES);
+    grid->uppers = nvdb_section_of(h, NVDB_UPPERS);
+    grid->lowers = nvdb_section_of(h, NVDB_LOWERS);
+    grid->leaves = nvdb_section_of(h, NVDB_LEAVES);
     grid->tile_count = grid->upper_count = counts->uppers;
     grid->lower_count = counts->lowers;
     grid->leaf_count = counts->leaves;
@@ -305,16 +306,16 @@ static void fill_grid(const struct head *h, struct fmt_nvdb_grid *grid)
     grid->lower_bytes = sizeof(struct nvdb_lower);
     grid->voxel_count = counts->voxels;
     grid->record_count = h->layout.record_count;
-    grid->normals = section_of(h, NVDB_NORMALS);
-    grid->planes = section_of(h, NVDB_PLANES);
-    grid->colors = section_of(h, NVDB_COLORS);
-    grid->seconds = section_of(h, NVDB_SECONDS);
-    grid->ids = section_of(h, NVDB_IDS);
-    grid->names = section_of(h, NVDB_NAMES);
+    grid->normals = nvdb_section_of(h, NVDB_NORMALS);
+    grid->planes = nvdb_section_of(h, NVDB_PLANES);
+    grid->colors = nvdb_section_of(h, NVDB_COLORS);
+    grid->seconds = nvdb_section_of(h, NVDB_SECONDS);
+    grid->ids = nvdb_section_of(h, NVDB_IDS);
+    grid->names = nvdb_section_of(h, NVDB_NAMES);
     grid->name_bytes = counts->name_bytes;
     grid->channel_words = counts->channel_words;
     grid->channel_list_bytes = counts->channel_list_bytes;
-    const uint8_t *channels = section_of(h, NVDB_CHANNELS);
+    const uint8_t *channels = nvdb_section_of(h, NVDB_CHANNELS);
     if (!channels)
         return;
     grid->channel_list = (const char *)channels + sizeof(struct nvdb_channels_head);
@@ -345,7 +346,7 @@ static bool next_name(const struct fmt_nvdb_grid *grid, uint64_t *at, struct nam
     return true;
 }
 
-static bool is_before(const struct name *a, const struct name *b)
+static bool nvdb_is_before(const struct name *a, const struct name *b)
 {
     const uint32_t both = a->length < b->length ? a->length : b->length;
     const int order = memcmp(a->bytes, b->bytes, both);
@@ -367,7 +368,7 @@ static bool check_names(struct fmt_nvdb_grid *grid)
         return false;
     for (uint32_t i = 0; i < head.count; i++) {
         if (!next_name(grid, &at, &name) || memchr(name.bytes, 0, name.length) ||
-            (i > 0 && !is_before(&last, &name)))
+            (i > 0 && !nvdb_is_before(&last, &name)))
             return false;
         last = name;
     }
@@ -386,7 +387,7 @@ int fmt_nvdb_check_header(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
     BSQ_TRY(check_grid_data(&h));
     BSQ_TRY(read_trailer(&h));
     BSQ_TRY(read_counts(&h));
-    BSQ_TRY(read_channels(&h));
+    BSQ_TRY(nvdb_read_channels(&h));
     BSQ_TRY(check_head(&h));
     fill_grid(&h, grid);
     if (grid->names && !check_names(grid))

@@ -44,7 +44,7 @@ static int bad_node(const struct check *c, const char *level, uint64_t number, c
                     c->grid->map.path, level, number, what);
 }
 
-static bool all_zero(const uint64_t *words, uint32_t count)
+static bool verify_all_zero(const uint64_t *words, uint32_t count)
 {
     uint64_t any = 0;
     for (uint32_t i = 0; i < count; i++)
@@ -59,7 +59,7 @@ static bool is_upper(const struct nvdb_level *level)
     return level->section == NVDB_UPPERS;
 }
 
-static const void *section_of(const struct check *c, enum nvdb_section section)
+static const void *verify_section_of(const struct check *c, enum nvdb_section section)
 {
     return c->file + c->layout.section[section].offset;
 }
@@ -67,7 +67,7 @@ static const void *section_of(const struct check *c, enum nvdb_section section)
 static const struct nvdb_node *node_of(const struct check *c, const struct nvdb_level *level,
                                        uint64_t number)
 {
-    const uint8_t *nodes = section_of(c, level->section);
+    const uint8_t *nodes = verify_section_of(c, level->section);
     return (const void *)(nodes + number * level->node_bytes);
 }
 
@@ -78,10 +78,10 @@ static uint64_t child_count(const struct check *c, const struct nvdb_level *leve
 
 /* Returns the number, within the level below, of the child that a slot of the table names. A wrong
  * offset gives a number that no child has. */
-static uint64_t child_of(const struct check *c, const struct nvdb_level *level,
-                         const struct nvdb_node *node, uint32_t slot)
+static uint64_t verify_child_of(const struct check *c, const struct nvdb_level *level,
+                                const struct nvdb_node *node, uint32_t slot)
 {
-    const uint8_t *below = section_of(c, level->child_section);
+    const uint8_t *below = verify_section_of(c, level->child_section);
     const uint64_t base = (uint64_t)(below - (const uint8_t *)node);
     const uint64_t distance = (uint64_t)nvdb_table(level, node)[slot] - base;
     return distance % level->child_bytes == 0 ? distance / level->child_bytes : UINT64_MAX;
@@ -97,7 +97,8 @@ static uint64_t first_child(const struct check *c, const struct nvdb_level *leve
     const uint64_t *mask = nvdb_child_mask(level, node);
     for (uint32_t word = 0; word < level->words; word++)
         if (mask[word])
-            return child_of(c, level, node, 64 * word + (uint32_t)__builtin_ctzll(mask[word]));
+            return verify_child_of(c, level, node,
+                                   64 * word + (uint32_t)__builtin_ctzll(mask[word]));
     return UINT64_MAX;
 }
 
@@ -128,7 +129,8 @@ static bool same_box(const int32_t a_min[3], const int32_t a_max[3], const int32
 static int check_leaf(const struct check *c, uint64_t number, const int32_t origin[3],
                       int32_t bbox_min[3], int32_t bbox_max[3])
 {
-    const struct nvdb_leaf *leaf = (const struct nvdb_leaf *)section_of(c, NVDB_LEAVES) + number;
+    const struct nvdb_leaf *leaf =
+        (const struct nvdb_leaf *)verify_section_of(c, NVDB_LEAVES) + number;
     int32_t leaf_min[3], leaf_max[3];
     uint64_t count = fmt_nvdb_leaf_bounds(origin, leaf->mask, leaf_min, leaf_max);
     if (count == 0)
@@ -175,7 +177,7 @@ static int check_children(const struct check *c, const struct nvdb_level *level,
         for (uint64_t bits = mask[word]; bits; bits &= bits - 1, child++) {
             const uint32_t slot = 64 * word + (uint32_t)__builtin_ctzll(bits);
             int32_t place[3];
-            if (child >= child_count(c, level) || child_of(c, level, node, slot) != child)
+            if (child >= child_count(c, level) || verify_child_of(c, level, node, slot) != child)
                 return bad_node(c, level->name, number, "child");
             child_origin(level, origin, slot, place);
             int status = is_upper(level) ? check_place(c, child, place, bbox_min, bbox_max)
@@ -195,7 +197,7 @@ static int check_node(const struct check *c, const struct nvdb_level *level, uin
     const struct nvdb_node *node = node_of(c, level, number);
     int32_t origin[3];
     node_origin(node->bbox_min, level->dim, origin);
-    if (!all_zero(nvdb_value_mask(node), level->words) ||
+    if (!verify_all_zero(nvdb_value_mask(node), level->words) ||
         first_child(c, level, number) == UINT64_MAX)
         return bad_node(c, level->name, number, "child");
     const struct nvdb_tile *tiles = (const void *)c->grid->tiles;
@@ -243,7 +245,7 @@ static int check_root(const struct check *c)
     for (uint32_t i = 0; i < grid->tile_count; i++) {
         const struct nvdb_tile *tile = (const struct nvdb_tile *)(const void *)grid->tiles + i;
         if ((i > 0 && tile->key <= tile[-1].key) || tile->child != (int64_t)child ||
-            !all_zero(tile->values, 2))
+            !verify_all_zero(tile->values, 2))
             return bsq_fail(c->ctx, BSQ_EDATA, "%s: damaged: root tile %" PRIu32 " is wrong",
                             grid->map.path, i);
         const struct nvdb_node *upper = node_of(c, &fmt_nvdb_upper, i);
@@ -385,7 +387,7 @@ static int bad_record(const struct check *c, uint64_t number, const char *what)
 }
 
 /* Returns what is wrong with a record, or NULL. second: whether its voxel has a second record. */
-static const char *fault_of(const struct fmt_nvdb_grid *grid, uint64_t number, bool second)
+static const char *verify_fault_of(const struct fmt_nvdb_grid *grid, uint64_t number, bool second)
 {
     uint32_t normal = grid->normals[number], plane = grid->planes[number];
     if ((normal & 0xffff) == 0x8000 || normal >> 16 == 0x8000)
@@ -419,10 +421,10 @@ static bool channels_begin_with_zeros(const struct fmt_nvdb_grid *grid)
 static int verify_voxel(const struct check *c, uint64_t index)
 {
     uint64_t second = fmt_nvdb_second(c->grid, index);
-    const char *fault = fault_of(c->grid, index, second != 0);
+    const char *fault = verify_fault_of(c->grid, index, second != 0);
     if (fault)
         return bad_record(c, index, fault);
-    if (second && (fault = fault_of(c->grid, second, false)))
+    if (second && (fault = verify_fault_of(c->grid, second, false)))
         return bad_record(c, second, fault);
     return 0;
 }

@@ -15,8 +15,8 @@
 
 /* ---- streams ---- */
 
-static int open_stream(struct bsq_ctx *ctx, const char *beside, const char *what,
-                       struct nvdb_stream *stream)
+static int nvdb_open_stream(struct bsq_ctx *ctx, const char *beside, const char *what,
+                            struct nvdb_stream *stream)
 {
     *stream = (struct nvdb_stream){.ctx = ctx, .file = BSQ_FILE_CLOSED};
     int status = bsq_alloc(ctx, "grid section buffer", NVDB_STREAM_BYTES, 1, &stream->buffer);
@@ -43,7 +43,7 @@ void fmt_nvdb_stream_close(struct nvdb_stream *stream)
 }
 
 /* Hashes the buffer while it is in the cache, and appends it to the file. */
-static int flush(struct nvdb_stream *stream)
+static int nvdb_flush(struct nvdb_stream *stream)
 {
     if (stream->fill == 0)
         return 0;
@@ -54,7 +54,7 @@ static int flush(struct nvdb_stream *stream)
     return status;
 }
 
-static int put(struct nvdb_stream *stream, const void *bytes, uint64_t size)
+static int nvdb_put(struct nvdb_stream *stream, const void *bytes, uint64_t size)
 {
     int status = 0;
     for (uint64_t done = 0, n; done < size && status == 0; done += n) {
@@ -63,7 +63,7 @@ static int put(struct nvdb_stream *stream, const void *bytes, uint64_t size)
         memcpy(stream->buffer + stream->fill, (const uint8_t *)bytes + done, n);
         stream->fill += n;
         if (stream->fill == NVDB_STREAM_BYTES)
-            status = flush(stream);
+            status = nvdb_flush(stream);
     }
     return status;
 }
@@ -71,7 +71,7 @@ static int put(struct nvdb_stream *stream, const void *bytes, uint64_t size)
 /* Writes the rest and frees the buffer; nothing can be added any more. */
 static int end_stream(struct nvdb_stream *stream)
 {
-    int status = flush(stream);
+    int status = nvdb_flush(stream);
     bsq_free(stream->ctx, stream->buffer);
     stream->buffer = NULL;
     return status;
@@ -83,9 +83,10 @@ static int open_streams(struct fmt_nvdb_writer *writer, int section)
     const struct nvdb_row *row = &fmt_nvdb_rows[section];
     if (!row->what || !nvdb_has(writer->counts.flags, section))
         return 0;
-    int status = open_stream(writer->ctx, writer->path, row->what, &writer->stream[section][0]);
+    int status =
+        nvdb_open_stream(writer->ctx, writer->path, row->what, &writer->stream[section][0]);
     return status == 0 && row->per_record
-               ? open_stream(writer->ctx, writer->path, row->what, &writer->stream[section][1])
+               ? nvdb_open_stream(writer->ctx, writer->path, row->what, &writer->stream[section][1])
                : status;
 }
 
@@ -116,11 +117,11 @@ static int begin_channels(struct fmt_nvdb_writer *writer)
     int status = 0;
     if (head.words == 0)
         return 0;
-    BSQ_TRY(put(stream, &head, sizeof head));
-    BSQ_TRY(put(stream, writer->info.channels, head.list_bytes));
-    BSQ_TRY(put(stream, zeros, head_bytes - sizeof head - head.list_bytes));
+    BSQ_TRY(nvdb_put(stream, &head, sizeof head));
+    BSQ_TRY(nvdb_put(stream, writer->info.channels, head.list_bytes));
+    BSQ_TRY(nvdb_put(stream, zeros, head_bytes - sizeof head - head.list_bytes));
     for (uint32_t i = 0; i < head.words; i++)
-        BSQ_TRY(put(stream, zeros, sizeof(float)));
+        BSQ_TRY(nvdb_put(stream, zeros, sizeof(float)));
 done:
     return status;
 }
@@ -289,7 +290,7 @@ static int close_lower(struct fmt_nvdb_writer *writer)
         return 0;
     fmt_nvdb_bbox_extend(upper->bbox_min, upper->bbox_max, lower->bbox_min, lower->bbox_max);
     fmt_nvdb_bbox_extend(writer->bbox_min, writer->bbox_max, lower->bbox_min, lower->bbox_max);
-    return put(writer->stream[NVDB_LOWERS], lower, nvdb_stub_bytes(&fmt_nvdb_lower));
+    return nvdb_put(writer->stream[NVDB_LOWERS], lower, nvdb_stub_bytes(&fmt_nvdb_lower));
 }
 
 /* Writes the stub of the open upper node. */
@@ -297,7 +298,7 @@ static int close_upper(struct fmt_nvdb_writer *writer)
 {
     if (writer->counts.uppers == 0)
         return 0;
-    return put(writer->stream[NVDB_UPPERS], &writer->upper, nvdb_stub_bytes(&fmt_nvdb_upper));
+    return nvdb_put(writer->stream[NVDB_UPPERS], &writer->upper, nvdb_stub_bytes(&fmt_nvdb_upper));
 }
 
 /* Opens the upper node of a region unless it is open already. */
@@ -359,7 +360,7 @@ static int append_leaves(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_r
             leaf.bbox_dif[axis] = (uint8_t)(bbox_max[axis] - leaf.bbox_min[axis]);
         memcpy(leaf.mask, region->masks[i], sizeof(leaf.mask));
         leaf.prefix_sum = fmt_nvdb_prefix_sum(leaf.mask);
-        int status = put(leaves, &leaf, sizeof leaf);
+        int status = nvdb_put(leaves, &leaf, sizeof leaf);
         if (status)
             return status;
         value += count;
@@ -380,15 +381,15 @@ static int append_channel(struct nvdb_stream *stream, const struct fmt_nvdb_reco
         n = count - done < 512 ? count - done : 512;
         for (uint64_t i = 0; i < n; i++)
             memcpy(&some[i], (const uint8_t *)&records[done + i] + member, sizeof *some);
-        status = put(stream, some, n * sizeof *some);
+        status = nvdb_put(stream, some, n * sizeof *some);
     }
     return status;
 }
 
 /* Splits first or second records into channels. values: those of further channels. */
-static int append_records(struct fmt_nvdb_writer *writer, bool second,
-                          const struct fmt_nvdb_record *records, const float *values,
-                          uint64_t count)
+static int nvdb_append_records(struct fmt_nvdb_writer *writer, bool second,
+                               const struct fmt_nvdb_record *records, const float *values,
+                               uint64_t count)
 {
     static const struct {
         enum nvdb_section section;
@@ -404,8 +405,8 @@ static int append_records(struct fmt_nvdb_writer *writer, bool second,
             BSQ_TRY(append_channel(stream, records, count, members[i].member));
     }
     if (values)
-        status = put(&writer->stream[NVDB_CHANNELS][second], values,
-                     count * writer->counts.channel_words * sizeof *values);
+        status = nvdb_put(&writer->stream[NVDB_CHANNELS][second], values,
+                          count * writer->counts.channel_words * sizeof *values);
 done:
     return status;
 }
@@ -416,7 +417,7 @@ static int end_entry(struct fmt_nvdb_writer *writer)
     const uint32_t entry[2] = {writer->entry_bits, writer->entry_rank};
     writer->entry_rank += nvdb_popcount(writer->entry_bits);
     writer->entry_bits = 0;
-    return put(writer->stream[NVDB_SECONDS], entry, sizeof entry);
+    return nvdb_put(writer->stream[NVDB_SECONDS], entry, sizeof entry);
 }
 
 /* Returns a bit for each of up to 32 records: whether its voxel has a second one. */
@@ -445,7 +446,7 @@ static int append_seconds(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_
     return 0;
 }
 
-static int append(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
+static int nvdb_append_region(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
 {
     static const struct fmt_nvdb_record background = {0};
     const bool channels = writer->counts.channel_words > 0;
@@ -456,13 +457,13 @@ static int append(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *
         return 0;
     BSQ_TRY(check_limits(writer, region));
     if (writer->counts.voxels == 0)
-        BSQ_TRY(append_records(writer, false, &background, NULL, 1));
+        BSQ_TRY(nvdb_append_records(writer, false, &background, NULL, 1));
     BSQ_TRY(open_region(writer, region->origin));
     BSQ_TRY(append_leaves(writer, region));
-    BSQ_TRY(append_records(writer, false, region->records, channels ? region->channels : NULL,
-                           region->record_count));
-    BSQ_TRY(append_records(writer, true, region->second, channels ? region->second_channels : NULL,
-                           region->second_count));
+    BSQ_TRY(nvdb_append_records(writer, false, region->records, channels ? region->channels : NULL,
+                                region->record_count));
+    BSQ_TRY(nvdb_append_records(writer, true, region->second,
+                                channels ? region->second_channels : NULL, region->second_count));
     status = append_seconds(writer, region);
     writer->counts.leaves += region->leaf_count;
     writer->counts.voxels += region->record_count;
@@ -474,7 +475,7 @@ done:
 int fmt_nvdb_append(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
 {
     if (writer->failed == 0)
-        writer->failed = append(writer, region);
+        writer->failed = nvdb_append_region(writer, region);
     return writer->failed;
 }
 

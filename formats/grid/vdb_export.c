@@ -38,7 +38,7 @@ static int replace_uuid(struct bsq_output *output, const struct fmt_nvdb_grid *g
     return bsq_output_write_at(output, uuid, 36, 8 + 4 + 4 + 4 + 1);
 }
 
-static int find_program(struct bsq_ctx *ctx, char program[PATH_MAX])
+static int vdb_find_program(struct bsq_ctx *ctx, char program[PATH_MAX])
 {
     return fmt_program_find(ctx, "bisque-vdb", "OpenVDB files", program);
 }
@@ -46,12 +46,12 @@ static int find_program(struct bsq_ctx *ctx, char program[PATH_MAX])
 int fmt_vdb_check(struct bsq_ctx *ctx)
 {
     char program[PATH_MAX];
-    return find_program(ctx, program);
+    return vdb_find_program(ctx, program);
 }
 
 /* Lets bisque-vdb write the file of an output. */
-static int write_content(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const char *path,
-                         struct bsq_output *output, uint64_t bytes)
+static int vdb_write_content(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid,
+                             const char *path, struct bsq_output *output, uint64_t bytes)
 {
     char program[PATH_MAX], stamp[48], threads[12], text[201] = "";
     char *arguments[] = {program, stamp, threads, NULL};
@@ -61,7 +61,7 @@ static int write_content(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, 
     int status;
     snprintf(stamp, sizeof stamp, "%s", fmt_program_stamp);
     snprintf(threads, sizeof threads, "%u", bsq_threads(ctx));
-    BSQ_TRY(find_program(ctx, program));
+    BSQ_TRY(vdb_find_program(ctx, program));
     BSQ_TRY(fmt_program_check(ctx, "OpenVDB files"));
     BSQ_TRY(bsq_output_read(output, &file));
     BSQ_TRY(fmt_program_run(ctx, arguments, grid->map.fd, file.fd, INFINITY, &end));
@@ -86,7 +86,7 @@ int fmt_vdb_export(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const 
     *out = NULL;
     BSQ_TRY(bsq_output_open(ctx, path, &output));
     BSQ_TRY(bsq_reserve(ctx, "the grids of the OpenVDB export", bytes));
-    status = write_content(ctx, grid, path, output, bytes);
+    status = vdb_write_content(ctx, grid, path, output, bytes);
     bsq_release(ctx, bytes);
     BSQ_TRY(status);
     BSQ_TRY(replace_uuid(output, grid));

@@ -88,7 +88,8 @@ void fmt_exr_set_status(struct fmt_exr_stream *stream, int status)
 /* ---- callbacks of OpenEXR ---- */
 
 /* Records OpenEXR's message with the file's name, except for EXR_ERR_CORRUPT_CHUNK. */
-static void describe_failure(exr_const_context_t file, exr_result_t result, const char *message)
+static void exr_in_describe_failure(exr_const_context_t file, exr_result_t result,
+                                    const char *message)
 {
     void *user = NULL;
     if (result == EXR_ERR_CORRUPT_CHUNK) /* the caller may try again, and describes it */
@@ -100,8 +101,8 @@ static void describe_failure(exr_const_context_t file, exr_result_t result, cons
     bsq_fail(stream->ctx, status_of(result), "%s: %s", stream->path, message);
 }
 
-static int64_t read_bytes(exr_const_context_t file, void *user, void *buffer, uint64_t size,
-                          uint64_t offset, exr_stream_error_func_ptr_t on_error)
+static int64_t exr_in_read_bytes(exr_const_context_t file, void *user, void *buffer, uint64_t size,
+                                 uint64_t offset, exr_stream_error_func_ptr_t on_error)
 {
     (void)file;
     (void)on_error;
@@ -143,7 +144,7 @@ struct walk {
 };
 
 /* Reads up to `size` bytes. Returns their number. */
-static uint64_t read_at(struct walk *walk, uint64_t offset, void *to, uint64_t size)
+static uint64_t exr_in_read_at(struct walk *walk, uint64_t offset, void *to, uint64_t size)
 {
     uint64_t got = 0;
     const int status = bsq_file_read_some(walk->ctx, walk->file, to, size, offset, &got);
@@ -152,9 +153,9 @@ static uint64_t read_at(struct walk *walk, uint64_t offset, void *to, uint64_t s
 }
 
 /* Reads a name and moves behind the null byte at its end. Returns false if there is none. */
-static bool read_name(struct walk *walk, char name[NAME_BYTES])
+static bool exr_in_read_name(struct walk *walk, char name[NAME_BYTES])
 {
-    const uint64_t got = read_at(walk, walk->at, name, NAME_BYTES);
+    const uint64_t got = exr_in_read_at(walk, walk->at, name, NAME_BYTES);
     const char *end = memchr(name, '\0', got);
     if (end)
         walk->at += (uint64_t)(end - name) + 1;
@@ -166,7 +167,7 @@ static bool read_name(struct walk *walk, char name[NAME_BYTES])
 static bool pass_channels(struct walk *walk, uint64_t end)
 {
     char name[NAME_BYTES];
-    while (read_name(walk, name) && name[0]) {
+    while (exr_in_read_name(walk, name) && name[0]) {
         walk->at += CHANNEL_BYTES;
         if (++walk->channels > MOST_CHANNELS) {
             walk->excess = "the header has more than 16384 channels";
@@ -183,7 +184,7 @@ static bool pass_attribute(struct walk *walk)
 {
     char type[NAME_BYTES];
     unsigned char size[4];
-    if (!read_name(walk, type) || read_at(walk, walk->at, size, 4) < 4)
+    if (!exr_in_read_name(walk, type) || exr_in_read_at(walk, walk->at, size, 4) < 4)
         return false;
     const uint64_t end = walk->at + 4 + bsq_little(size, 4);
     walk->at += 4;
@@ -199,15 +200,15 @@ static bool pass_attribute(struct walk *walk)
 
 /* Refuses an excessive header. A file has one, or one for each part and an empty one at the end. If
  * it is none at all, OpenEXR says what is wrong with it. */
-static int check_header(const struct reader *reader)
+static int exr_in_check_header(const struct reader *reader)
 {
     struct walk walk = {.ctx = reader->stream.ctx, .file = reader->input, .at = 8};
     unsigned char version[4] = {0};
     char name[NAME_BYTES];
     bool empty = true;
-    const bool found = read_at(&walk, 4, version, 4) == 4;
+    const bool found = exr_in_read_at(&walk, 4, version, 4) == 4;
     const bool parts = bsq_little(version, 4) & MULTI_PART;
-    while (found && read_name(&walk, name)) {
+    while (found && exr_in_read_name(&walk, name)) {
         if (!name[0] && (!parts || empty))
             break;
         if (name[0] && !pass_attribute(&walk))
@@ -254,7 +255,7 @@ static int read_layout(struct reader *reader)
     return 0;
 }
 
-static int read_channels(struct reader *reader)
+static int exr_in_read_channels(struct reader *reader)
 {
     struct bsq_ctx *ctx = reader->stream.ctx;
     struct fmt_exr_image *image = reader->image;
@@ -279,7 +280,7 @@ done:
     return status;
 }
 
-static int read_attributes(struct reader *reader)
+static int exr_in_read_attributes(struct reader *reader)
 {
     struct bsq_ctx *ctx = reader->stream.ctx;
     struct fmt_exr_image *image = reader->image;
@@ -418,7 +419,7 @@ static int decode_chunk(void *arg, uint64_t index, unsigned worker)
 /* ---- the file ---- */
 
 /* Allocates a decoder for each worker, and room for the samples of `lines` lines of the image. */
-static int allocate(struct reader *reader, uint32_t lines)
+static int exr_in_allocate(struct reader *reader, uint32_t lines)
 {
     struct bsq_ctx *ctx = reader->stream.ctx;
     const unsigned workers = reader->workers;
@@ -440,24 +441,24 @@ done:
     return status;
 }
 
-static int read_header(struct reader *reader, bool by_rows)
+static int exr_in_read_header(struct reader *reader, bool by_rows)
 {
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
-    init.error_handler_fn = describe_failure;
+    init.error_handler_fn = exr_in_describe_failure;
     init.user_data = reader;
-    init.read_fn = read_bytes;
+    init.read_fn = exr_in_read_bytes;
     init.size_fn = file_size;
     init.flags = EXR_CONTEXT_FLAG_DISABLE_CHUNK_RECONSTRUCTION;
     exr_compression_t packing;
     int status;
-    BSQ_TRY(check_header(reader));
+    BSQ_TRY(exr_in_check_header(reader));
     BSQ_TRY(
         fmt_exr_status(&reader->stream, exr_start_read(&reader->file, reader->stream.path, &init)));
     BSQ_TRY(fmt_exr_status(&reader->stream, exr_get_compression(reader->file, 0, &packing)));
     if (by_rows && (packing == EXR_COMPRESSION_DWAA || packing == EXR_COMPRESSION_DWAB))
         return BSQ_RETRY;
     BSQ_TRY(read_layout(reader));
-    status = read_channels(reader);
+    status = exr_in_read_channels(reader);
 done:
     return status;
 }
@@ -487,13 +488,13 @@ static int read_image(struct reader *reader)
 {
     struct fmt_exr_image *image = reader->image;
     int status;
-    BSQ_TRY(read_header(reader, false));
-    BSQ_TRY(read_attributes(reader));
+    BSQ_TRY(exr_in_read_header(reader, false));
+    BSQ_TRY(exr_in_read_attributes(reader));
     BSQ_TRY(allocate_places(reader));
     for (uint32_t c = 0; c < image->channel_count; ++c)
         reader->places[c] = c;
     reader->kept = image->channel_count;
-    BSQ_TRY(allocate(reader, image->height));
+    BSQ_TRY(exr_in_allocate(reader, image->height));
     BSQ_TRY(bsq_parallel_for(reader->stream.ctx,
                              (uint64_t)reader->chunks_across * reader->chunks_down, decode_chunk,
                              reader));
@@ -559,7 +560,7 @@ static uint32_t find_layer(const struct fmt_exr_image *image)
 }
 
 /* Keeps red, green, blue, or the one channel of another layer, and the alpha after them. */
-static void choose_channels(struct reader *reader)
+static void exr_in_choose_channels(struct reader *reader)
 {
     const struct fmt_exr_image *image = reader->image;
     const uint32_t layer = find_layer(image);
@@ -588,12 +589,12 @@ int fmt_exr_rows_open(struct bsq_ctx *ctx, const char *path, const struct bsq_fi
         return status;
     rows->reader = (struct reader){
         .stream = {.ctx = ctx, .path = path}, .input = input, .image = &rows->image, .workers = 1};
-    BSQ_TRY(read_header(&rows->reader, true));
+    BSQ_TRY(exr_in_read_header(&rows->reader, true));
     BSQ_TRY(allocate_places(&rows->reader));
-    choose_channels(&rows->reader);
-    BSQ_TRY(allocate(&rows->reader, rows->reader.chunk_height < rows->image.height
-                                        ? rows->reader.chunk_height
-                                        : rows->image.height));
+    exr_in_choose_channels(&rows->reader);
+    BSQ_TRY(exr_in_allocate(&rows->reader, rows->reader.chunk_height < rows->image.height
+                                               ? rows->reader.chunk_height
+                                               : rows->image.height));
     *size = (struct fmt_exr_size){rows->image.width, rows->image.height, rows->reader.kept};
 done:
     return status;

@@ -75,8 +75,9 @@ struct exr_writer {
 
 /* ---- callbacks of OpenEXR ---- */
 
-static int64_t write_bytes(exr_const_context_t file, void *user, const void *buffer, uint64_t size,
-                           uint64_t offset, exr_stream_error_func_ptr_t on_error)
+static int64_t exr_out_write_bytes(exr_const_context_t file, void *user, const void *buffer,
+                                   uint64_t size, uint64_t offset,
+                                   exr_stream_error_func_ptr_t on_error)
 {
     (void)file;
     (void)on_error;
@@ -142,14 +143,14 @@ static exr_result_t make_header(exr_context_t file, const struct fmt_image_optio
     return r;
 }
 
-static int describe_image(struct fmt_image_writer *base,
-                          const struct fmt_image_attribute *attributes, uint32_t count)
+static int exr_out_describe_image(struct fmt_image_writer *base,
+                                  const struct fmt_image_attribute *attributes, uint32_t count)
 {
     struct exr_writer *writer = (struct exr_writer *)base;
     return fmt_exr_status(&writer->stream, set_attributes(writer->file, attributes, count));
 }
 
-static int start_image(struct fmt_image_writer *base)
+static int exr_out_start_image(struct fmt_image_writer *base)
 {
     struct exr_writer *writer = (struct exr_writer *)base;
     return fmt_exr_status(&writer->stream, exr_write_header(writer->file));
@@ -157,7 +158,7 @@ static int start_image(struct fmt_image_writer *base)
 
 /* ---- blocks ---- */
 
-static int create_encoder(struct fmt_image_writer *base, void *memory)
+static int exr_out_create_encoder(struct fmt_image_writer *base, void *memory)
 {
     struct encoder *encoder = memory;
     struct bsq_ctx *ctx = base->ctx;
@@ -178,7 +179,7 @@ done:
     return status;
 }
 
-static void free_encoder(struct fmt_image_writer *base, void *memory)
+static void exr_out_free_encoder(struct fmt_image_writer *base, void *memory)
 {
     struct encoder *encoder = memory;
     libdeflate_free_compressor(encoder->compressor);
@@ -203,8 +204,8 @@ static uint8_t *store_line(const float *samples, uint32_t width, size_t stride, 
 
 /* In a block, each line has its channels one after the other. Readers take a block of the size of
  * its samples as not compressed. */
-static int encode_block(struct fmt_image_writer *base, void *memory,
-                        const struct fmt_image_block *block)
+static int exr_out_encode_block(struct fmt_image_writer *base, void *memory,
+                                const struct fmt_image_block *block)
 {
     struct encoder *encoder = memory;
     const uint32_t channels = base->channel_count, side = base->tile_side;
@@ -222,8 +223,8 @@ static int encode_block(struct fmt_image_writer *base, void *memory,
     return 0;
 }
 
-static int emit_block(struct fmt_image_writer *base, void *memory,
-                      const struct fmt_image_block *block)
+static int exr_out_emit_block(struct fmt_image_writer *base, void *memory,
+                              const struct fmt_image_block *block)
 {
     struct exr_writer *writer = (struct exr_writer *)base;
     const struct encoder *encoder = memory;
@@ -238,7 +239,8 @@ static int emit_block(struct fmt_image_writer *base, void *memory,
 
 /* ---- from creating to ending ---- */
 
-static int create_image(struct fmt_image_writer *base, const struct fmt_image_options *options)
+static int exr_out_create_image(struct fmt_image_writer *base,
+                                const struct fmt_image_options *options)
 {
     struct exr_writer *writer = (struct exr_writer *)base;
     /* OpenEXR holds the bytes of a line and the number of rows in int32_t. */
@@ -253,7 +255,7 @@ static int create_image(struct fmt_image_writer *base, const struct fmt_image_op
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
     init.error_handler_fn = leave_to_caller;
     init.user_data = writer;
-    init.write_fn = write_bytes;
+    init.write_fn = exr_out_write_bytes;
     exr_result_t r = exr_start_write(&writer->file, base->path, EXR_WRITE_FILE_DIRECTLY, &init);
     if (r == EXR_ERR_SUCCESS)
         r = make_header(writer->file, options);
@@ -262,7 +264,7 @@ static int create_image(struct fmt_image_writer *base, const struct fmt_image_op
 
 /* Closes the file, which writes its line table. Fails for an unfinished file; the failure that left
  * it unfinished is recorded already. */
-static int finish_image(struct fmt_image_writer *base)
+static int exr_out_finish_image(struct fmt_image_writer *base)
 {
     struct exr_writer *writer = (struct exr_writer *)base;
     return fmt_exr_status(&writer->stream, exr_finish(&writer->file));
@@ -283,13 +285,13 @@ const struct fmt_image_format fmt_exr_format = {
     .tiles = true,
     .writer_bytes = sizeof(struct exr_writer),
     .encoder_bytes = sizeof(struct encoder),
-    .create = create_image,
-    .create_encoder = create_encoder,
-    .free_encoder = free_encoder,
-    .describe = describe_image,
-    .start = start_image,
-    .encode = encode_block,
-    .emit = emit_block,
-    .finish = finish_image,
+    .create = exr_out_create_image,
+    .create_encoder = exr_out_create_encoder,
+    .free_encoder = exr_out_free_encoder,
+    .describe = exr_out_describe_image,
+    .start = exr_out_start_image,
+    .encode = exr_out_encode_block,
+    .emit = exr_out_emit_block,
+    .finish = exr_out_finish_image,
     .free = free_image,
 };

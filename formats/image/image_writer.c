@@ -81,8 +81,8 @@ done:
     return status;
 }
 
-static int start(struct fmt_image_writer *writer, const char *path,
-                 const struct fmt_image_options *options)
+static int image_start(struct fmt_image_writer *writer, const char *path,
+                       const struct fmt_image_options *options)
 {
     struct bsq_ctx *ctx = writer->ctx;
     int status;
@@ -120,7 +120,7 @@ int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format,
     writer->height = options->height;
     writer->channel_count = options->channel_count;
     writer->tile_side = options->tile_side;
-    status = start(writer, path, options);
+    status = image_start(writer, path, options);
     if (status < 0)
         fmt_image_discard(writer);
     else
@@ -130,7 +130,7 @@ int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format,
 
 /* ---- blocks ---- */
 
-static uint64_t row_samples(const struct fmt_image_writer *writer)
+static uint64_t image_row_samples(const struct fmt_image_writer *writer)
 {
     return (uint64_t)writer->width * writer->channel_count;
 }
@@ -148,14 +148,14 @@ static int take_block(void *arg, void *slot, uint64_t sequence)
     struct fmt_image_writer *writer = batch->writer;
     struct fmt_image_block *block = &((struct slot *)slot)->block;
     const uint32_t left = batch->rows - batch->rows_taken;
-    const float *row = batch->samples + batch->rows_taken * row_samples(writer);
+    const float *row = batch->samples + batch->rows_taken * image_row_samples(writer);
     if (left == 0)
         return 0;
     block->rows = left < writer->block_rows ? left : writer->block_rows;
     block->first_row = writer->rows_encoded;
     block->column = batch->columns_taken;
     block->samples = row + (size_t)block->column * writer->tile_side * writer->channel_count;
-    block->above = batch->rows_taken > 0  ? row - row_samples(writer)
+    block->above = batch->rows_taken > 0  ? row - image_row_samples(writer)
                    : block->first_row > 0 ? writer->above
                                           : NULL;
     if (++batch->columns_taken < columns_of(writer))
@@ -166,7 +166,7 @@ static int take_block(void *arg, void *slot, uint64_t sequence)
     return 1;
 }
 
-static int encode_block(void *arg, void *slot, uint64_t sequence, unsigned worker)
+static int image_encode_block(void *arg, void *slot, uint64_t sequence, unsigned worker)
 {
     (void)sequence;
     (void)worker;
@@ -175,7 +175,7 @@ static int encode_block(void *arg, void *slot, uint64_t sequence, unsigned worke
                                   &((struct slot *)slot)->block);
 }
 
-static int emit_block(void *arg, void *slot, uint64_t sequence)
+static int image_emit_block(void *arg, void *slot, uint64_t sequence)
 {
     (void)sequence;
     struct fmt_image_writer *writer = ((struct batch *)arg)->writer;
@@ -187,16 +187,16 @@ static int encode_rows(struct fmt_image_writer *writer, const float *samples, ui
 {
     struct batch batch = {.writer = writer, .samples = samples, .rows = rows};
     const struct bsq_pipeline pipeline = {.produce = take_block,
-                                          .work = encode_block,
-                                          .emit = emit_block,
+                                          .work = image_encode_block,
+                                          .emit = image_emit_block,
                                           .arg = &batch,
                                           .slots = writer->slots,
                                           .slot_size = writer->slot_bytes,
                                           .slot_count = writer->slot_count};
     const int status = bsq_pipeline_run(writer->ctx, &pipeline);
     if (writer->above)
-        memcpy(writer->above, samples + (rows - 1) * row_samples(writer),
-               row_samples(writer) * sizeof *samples);
+        memcpy(writer->above, samples + (rows - 1) * image_row_samples(writer),
+               image_row_samples(writer) * sizeof *samples);
     return status;
 }
 
@@ -208,8 +208,8 @@ static int64_t fill_block(struct fmt_image_writer *writer, const float *samples,
 {
     uint32_t missing = writer->block_rows - writer->pending_rows;
     uint32_t taken = rows < missing ? rows : missing;
-    memcpy(writer->pending + writer->pending_rows * row_samples(writer), samples,
-           taken * row_samples(writer) * sizeof *samples);
+    memcpy(writer->pending + writer->pending_rows * image_row_samples(writer), samples,
+           taken * image_row_samples(writer) * sizeof *samples);
     writer->pending_rows += taken;
     writer->rows_taken += taken;
     if (taken < missing && writer->rows_taken < writer->height)
@@ -244,7 +244,7 @@ int fmt_image_write_rows(struct fmt_image_writer *writer, const float *samples, 
         taken = fill_block(writer, samples, rows);
     if (taken < 0)
         return (int)taken;
-    samples += (uint64_t)taken * row_samples(writer);
+    samples += (uint64_t)taken * image_row_samples(writer);
     rows -= (uint32_t)taken;
     uint32_t whole =
         writer->rows_taken + rows == writer->height ? rows : rows - rows % writer->block_rows;
@@ -254,8 +254,9 @@ int fmt_image_write_rows(struct fmt_image_writer *writer, const float *samples, 
         if (status < 0)
             return status;
     }
-    taken =
-        rows > whole ? fill_block(writer, samples + whole * row_samples(writer), rows - whole) : 0;
+    taken = rows > whole
+                ? fill_block(writer, samples + whole * image_row_samples(writer), rows - whole)
+                : 0;
     return taken < 0 ? (int)taken : 0;
 }
 

@@ -142,7 +142,7 @@ static int start_deflate(struct bsq_ctx *ctx, struct encoder *encoder)
     return 0;
 }
 
-static int create_encoder(struct fmt_image_writer *base, void *memory)
+static int png_out_create_encoder(struct fmt_image_writer *base, void *memory)
 {
     struct encoder *encoder = memory;
     struct bsq_ctx *ctx = base->ctx;
@@ -160,7 +160,7 @@ done:
     return status;
 }
 
-static void free_encoder(struct fmt_image_writer *base, void *memory)
+static void png_out_free_encoder(struct fmt_image_writer *base, void *memory)
 {
     struct encoder *encoder = memory;
     struct bsq_ctx *ctx = base->ctx;
@@ -284,7 +284,8 @@ done:
 }
 
 /* Writes a tEXt chunk: the name, a zero, and the value. */
-static int write_text(const struct png_writer *writer, const struct fmt_image_attribute *attribute)
+static int png_out_write_text(const struct png_writer *writer,
+                              const struct fmt_image_attribute *attribute)
 {
     const size_t name = strlen(attribute->name) + 1, value = strlen(attribute->value);
     uint8_t *text = NULL;
@@ -298,8 +299,8 @@ done:
     return status;
 }
 
-static int write_band(struct fmt_image_writer *base, void *memory,
-                      const struct fmt_image_block *band)
+static int png_out_write_band(struct fmt_image_writer *base, void *memory,
+                              const struct fmt_image_block *band)
 {
     struct png_writer *writer = (struct png_writer *)base;
     const struct encoder *encoder = memory;
@@ -311,21 +312,22 @@ static int write_band(struct fmt_image_writer *base, void *memory,
 
 /* ---- from creating to ending ---- */
 
-static int describe_image(struct fmt_image_writer *base,
-                          const struct fmt_image_attribute *attributes, uint32_t count)
+static int png_out_describe_image(struct fmt_image_writer *base,
+                                  const struct fmt_image_attribute *attributes, uint32_t count)
 {
     int status = 0;
     for (uint32_t a = 0; status == 0 && a < count; ++a)
-        status = write_text((const struct png_writer *)base, &attributes[a]);
+        status = png_out_write_text((const struct png_writer *)base, &attributes[a]);
     return status;
 }
 
-static int start_image(struct fmt_image_writer *base)
+static int png_out_start_image(struct fmt_image_writer *base)
 {
     return write_chunk((const struct png_writer *)base, "IDAT", zlib_header, sizeof zlib_header);
 }
 
-static int create_image(struct fmt_image_writer *base, const struct fmt_image_options *options)
+static int png_out_create_image(struct fmt_image_writer *base,
+                                const struct fmt_image_options *options)
 {
     struct png_writer *writer = (struct png_writer *)base;
     if (options->width > INT32_MAX / 8 || options->height > INT32_MAX)
@@ -347,10 +349,10 @@ static int create_image(struct fmt_image_writer *base, const struct fmt_image_op
     if (status == 0)
         status = write_header(writer);
     return status < 0 ? status
-                      : describe_image(base, options->attributes, options->attribute_count);
+                      : png_out_describe_image(base, options->attributes, options->attribute_count);
 }
 
-static int finish_image(struct fmt_image_writer *base)
+static int png_out_finish_image(struct fmt_image_writer *base)
 {
     struct png_writer *writer = (struct png_writer *)base;
     uint8_t trailer[4];
@@ -366,12 +368,12 @@ const struct fmt_image_format fmt_png_format = {
     .usual_type = FMT_UINT16,
     .writer_bytes = sizeof(struct png_writer),
     .encoder_bytes = sizeof(struct encoder),
-    .create = create_image,
-    .create_encoder = create_encoder,
-    .free_encoder = free_encoder,
-    .describe = describe_image,
-    .start = start_image,
+    .create = png_out_create_image,
+    .create_encoder = png_out_create_encoder,
+    .free_encoder = png_out_free_encoder,
+    .describe = png_out_describe_image,
+    .start = png_out_start_image,
     .encode = encode_band,
-    .emit = write_band,
-    .finish = finish_image,
+    .emit = png_out_write_band,
+    .finish = png_out_finish_image,
 };

@@ -209,7 +209,7 @@ static int unpack_until(struct fmt_input *input, uint64_t end)
 /* ---- creating ---- */
 
 /* Opens a file for a moment, to learn its size and whether it is packed. */
-static int examine(struct fmt_input *input)
+static int input_examine(struct fmt_input *input)
 {
     uint8_t head[UNPACK_HEAD_BYTES];
     uint64_t size = 0;
@@ -225,8 +225,8 @@ done:
     return status;
 }
 
-static int create(struct bsq_ctx *ctx, const char *path, const char *beside, bool pipes,
-                  const struct bsq_source *source, struct fmt_input **out)
+static int input_create(struct bsq_ctx *ctx, const char *path, const char *beside, bool pipes,
+                        const struct bsq_source *source, struct fmt_input **out)
 {
     struct fmt_input *input;
     *out = NULL;
@@ -245,7 +245,7 @@ static int create(struct bsq_ctx *ctx, const char *path, const char *beside, boo
     if (source)
         input->size = input->file_size = source->bytes;
     else
-        BSQ_TRY(pipes && fmt_input_is_pipe(path) ? open_pipe(input) : examine(input));
+        BSQ_TRY(pipes && fmt_input_is_pipe(path) ? open_pipe(input) : input_examine(input));
     *out = input;
 done:
     if (status < 0)
@@ -256,14 +256,14 @@ done:
 int fmt_input_create(struct bsq_ctx *ctx, const char *path, const char *beside, bool pipes,
                      struct fmt_input **out)
 {
-    return create(ctx, path, beside, pipes, NULL, out);
+    return input_create(ctx, path, beside, pipes, NULL, out);
 }
 
 int fmt_input_create_source(struct bsq_ctx *ctx, const char *name, const struct bsq_source *source,
                             struct fmt_input **out)
 {
     const int status = bsq_check_size(ctx, "bsq_source", source->size, sizeof *source);
-    return status < 0 ? status : create(ctx, name, NULL, false, source, out);
+    return status < 0 ? status : input_create(ctx, name, NULL, false, source, out);
 }
 
 /* Drops what was unpacked. */

@@ -208,7 +208,7 @@ static int step_zstd(struct unpacker *u, uint8_t *out, uint64_t size, uint64_t *
 }
 
 /* Fills the buffer with the stream's first bytes and makes the decoder. */
-static int start(struct unpacker *u)
+static int unpack_start(struct unpacker *u)
 {
     int status = 0;
     while (!u->source_ended && u->in_end < UNPACK_HEAD_BYTES)
@@ -257,9 +257,9 @@ static int step(struct unpacker *u, uint8_t *out, uint64_t size, uint64_t *got)
 }
 
 /* Unpacks `size` bytes; *got < size only at the end or after a failure. */
-static int read_bytes(struct unpacker *u, uint8_t *out, uint64_t size, uint64_t *got)
+static int unpack_read_bytes(struct unpacker *u, uint8_t *out, uint64_t size, uint64_t *got)
 {
-    int status = u->started ? 0 : start(u);
+    int status = u->started ? 0 : unpack_start(u);
     *got = 0;
     while (!status && *got < size) {
         uint64_t more = 0;
@@ -282,7 +282,7 @@ static int read_bytes(struct unpacker *u, uint8_t *out, uint64_t size, uint64_t 
 int fmt_unpack_next(struct unpacker *u, const uint8_t **bytes, uint64_t *size)
 {
     *bytes = u->out;
-    const int status = read_bytes(u, u->out, u->step, size);
+    const int status = unpack_read_bytes(u, u->out, u->step, size);
     return status ? status : *size == u->step;
 }
 

@@ -63,7 +63,7 @@ void fmt_program_isolate(void)
 
 /* Limits memory to `memory` bytes more than the process has now, time to `seconds` of a processor,
  * and the descriptors of files. */
-static void limit(uint64_t memory, uint64_t seconds, uint64_t files)
+static void program_limit(uint64_t memory, uint64_t seconds, uint64_t files)
 {
     unsigned long pages = 0;
     FILE *statm = fopen("/proc/self/statm", "r");
@@ -101,8 +101,8 @@ void fmt_program_begin(int argument_count, char **arguments, int options, uint64
                        : mmap(NULL, input->size, PROT_READ, MAP_PRIVATE, STDIN_FILENO, 0);
     if (input->bytes == MAP_FAILED)
         _exit(-BSQ_ENOMEM);
-    limit(strtoull(arguments[options + 1], NULL, 10) + own,
-          strtoull(arguments[options + 2], NULL, 10), files);
+    program_limit(strtoull(arguments[options + 1], NULL, 10) + own,
+                  strtoull(arguments[options + 2], NULL, 10), files);
 }
 
 void fmt_program_refuse(int status, const char *text)
@@ -113,7 +113,7 @@ void fmt_program_refuse(int status, const char *text)
 }
 
 /* Starts a program. Returns 0 or an errno. */
-static int start(char *const arguments[], int from, int to, pid_t *out)
+static int program_start(char *const arguments[], int from, int to, pid_t *out)
 {
     posix_spawn_file_actions_t actions;
     int error = posix_spawn_file_actions_init(&actions);
@@ -154,7 +154,7 @@ int fmt_program_run(struct bsq_ctx *ctx, char *const arguments[], int from, int 
 {
     pid_t process;
     *out = (struct fmt_program_end){.state = -1};
-    out->error = start(arguments, from, to, &process);
+    out->error = program_start(arguments, from, to, &process);
     if (out->error != 0)
         return 0;
     if (!await(ctx, process, bsq_seconds_now() + seconds, &out->state)) {

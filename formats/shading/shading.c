@@ -20,8 +20,8 @@ static uint64_t source_count(const struct fmt_shading *shading)
 }
 
 /* Makes attribute `number` used, with sources of zeros. */
-static int add(struct fmt_shading *shading, uint32_t number, const struct bsq_channel *row,
-               struct fmt_tris_source **sources)
+static int shading_add(struct fmt_shading *shading, uint32_t number, const struct bsq_channel *row,
+                       struct fmt_tris_source **sources)
 {
     struct bsq_ctx *ctx = shading->ctx;
     const uint32_t count = number < FMT_SHADING_CHANNELS ? FMT_SHADING_CHANNELS : number + 1;
@@ -44,7 +44,7 @@ int fmt_shading_add_color(struct fmt_shading *shading)
     int status = 0;
     if (!fmt_tris_has_color(header))
         return 0;
-    BSQ_TRY(add(shading, FMT_SHADING_COLOR, &row, &sources));
+    BSQ_TRY(shading_add(shading, FMT_SHADING_COLOR, &row, &sources));
     BSQ_TRY(bsq_calloc(shading->ctx, "material colours", source_count(shading),
                        sizeof *shading->diffuse, &shading->diffuse));
     for (uint32_t m = 0; m < header->material_count; m++) {
@@ -60,14 +60,14 @@ done:
 }
 
 /* Adds an attribute that an image gives, for all triangles, or else a channel of the chunk file. */
-static int add_channel(struct fmt_shading *shading, uint32_t number, const char *name,
-                       const char *path)
+static int shading_add_channel(struct fmt_shading *shading, uint32_t number, const char *name,
+                               const char *path)
 {
     const struct fmt_tris_header *header = shading->header;
     const struct bsq_channel *row = bsq_channel_find(name);
     const uint32_t channel = fmt_tris_find_channel(header, name), none = header->material_count;
     struct fmt_tris_source *sources;
-    int status = add(shading, number, row, &sources);
+    int status = shading_add(shading, number, row, &sources);
     if (status < 0)
         return status;
     for (uint64_t m = 0; path && m <= none; m++)
@@ -91,7 +91,7 @@ int fmt_shading_add_normal_map(struct fmt_shading *shading, const char *path)
                         "%s has no texture coordinates for the normal map %s: make it again, with "
                         "--scan-normal-map",
                         shading->path, path);
-    return add_channel(shading, FMT_SHADING_NORMAL_MAP, name, path);
+    return shading_add_channel(shading, FMT_SHADING_NORMAL_MAP, name, path);
 }
 
 int fmt_shading_add_channel(struct fmt_shading *shading, const char *name, const char *path)
@@ -103,12 +103,13 @@ int fmt_shading_add_channel(struct fmt_shading *shading, const char *name, const
                         "bisque-voxelize --channels %s=%s",
                         shading->path, name, name, path);
     int status = path ? 0 : fmt_tris_require_channel(shading->file, name);
-    return status < 0 ? status
-                      : add_channel(shading, count > 0 ? count : FMT_SHADING_CHANNELS, name, path);
+    return status < 0
+               ? status
+               : shading_add_channel(shading, count > 0 ? count : FMT_SHADING_CHANNELS, name, path);
 }
 
 /* Returns the name that tells apart triangles of a material, or those without one. */
-static const char *name_of(const struct fmt_tris_header *header, uint64_t material)
+static const char *shading_name_of(const struct fmt_tris_header *header, uint64_t material)
 {
     const bool named = material < header->material_count && header->materials[material].name;
     return named ? header->materials[material].name : "";
@@ -119,7 +120,7 @@ int fmt_shading_add_ids(struct fmt_shading *shading)
     const uint64_t count = source_count(shading);
     int status = bsq_alloc(shading->ctx, "ids", count, sizeof *shading->ids, &shading->ids);
     for (uint64_t m = 0; m < count && status == 0; m++)
-        shading->ids[m] = bsq_name_id(name_of(shading->header, m));
+        shading->ids[m] = bsq_name_id(shading_name_of(shading->header, m));
     return status;
 }
 
@@ -137,7 +138,7 @@ int fmt_shading_id_names(struct bsq_ctx *ctx, const struct fmt_tris_header *head
     if (status < 0)
         return status;
     for (uint64_t m = 0; m < all; m++)
-        (*names)[m] = name_of(header, m);
+        (*names)[m] = shading_name_of(header, m);
     bsq_sort(*names, all, sizeof **names, by_bytes);
     for (uint64_t m = 0; m < all; m++)
         if (*count == 0 || strcmp((*names)[*count - 1], (*names)[m]) != 0)
@@ -184,7 +185,7 @@ static bool is_own(const struct fmt_tris_header *header, const char *path)
 }
 
 /* Refuses a scan whose textures are not where they were when it was sorted. */
-static int find_textures(const struct fmt_shading *shading)
+static int shading_find_textures(const struct fmt_shading *shading)
 {
     for (uint64_t i = 0; i < shading->attribute_count * source_count(shading); i++) {
         struct fmt_texture_source source = {0};
@@ -204,7 +205,7 @@ static int find_textures(const struct fmt_shading *shading)
 
 int fmt_shading_open_textures(struct fmt_shading *shading, uint64_t cache_bytes)
 {
-    const int status = find_textures(shading);
+    const int status = shading_find_textures(shading);
     if (status < 0)
         return status;
     return fmt_textures_open_each(shading->ctx, shading->attribute_count * source_count(shading),

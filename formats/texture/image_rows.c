@@ -27,7 +27,7 @@ struct format {
 };
 
 /* Reads `size` bytes; zeros follow after the end of the file. */
-static void read_at(struct probe *probe, uint64_t offset, uint8_t *to, uint64_t size)
+static void rows_read_at(struct probe *probe, uint64_t offset, uint8_t *to, uint64_t size)
 {
     const uint64_t left = probe->extent->size > offset ? probe->extent->size - offset : 0;
     memset(to, 0, size);
@@ -99,7 +99,7 @@ static bool is_targa(struct probe *probe)
     const uint8_t *h = probe->head;
     uint8_t end[sizeof mark] = {0};
     if (probe->extent->size >= 44)
-        read_at(probe, probe->extent->size - sizeof mark, end, sizeof end);
+        rows_read_at(probe, probe->extent->size - sizeof mark, end, sizeof end);
     const bool type = (h[2] >= 1 && h[2] <= 3) || (h[2] >= 9 && h[2] <= 11);
     const bool bits = h[16] == 8 || h[16] == 15 || h[16] == 16 || h[16] == 24 || h[16] == 32;
     const bool possible =
@@ -152,7 +152,7 @@ int fmt_rows_damaged(const struct fmt_rows_input *input, const char *reason)
                : bsq_fail(input->ctx, BSQ_EDATA, "%s: damaged image: %s", input->path, reason);
 }
 
-static ssize_t read_stream(void *cookie, char *to, size_t size)
+static ssize_t rows_read_stream(void *cookie, char *to, size_t size)
 {
     struct fmt_rows_input *input = cookie;
     uint64_t got = 0;
@@ -164,7 +164,7 @@ static ssize_t read_stream(void *cookie, char *to, size_t size)
 }
 
 /* Reserves memory for decoding. */
-static int reserve(struct fmt_rows *rows, uint64_t bytes)
+static int rows_reserve(struct fmt_rows *rows, uint64_t bytes)
 {
     const int status = bsq_reserve(rows->input.ctx, "decoding a texture", bytes);
     rows->reserved_bytes += status == 0 ? bytes : 0;
@@ -183,7 +183,7 @@ static int reserve_whole(struct fmt_rows *rows, const char *format)
                         "TIFF (oiiotool IN --tile 64 64 -o OUT.tif)",
                         rows->input.path, format, info->width, info->height,
                         (info->bytes >> 20) + 1, left >> 20);
-    return reserve(rows, info->bytes);
+    return rows_reserve(rows, info->bytes);
 }
 
 static int open_decoder(struct fmt_rows *rows, const struct format *format, unsigned sharers)
@@ -197,14 +197,14 @@ static int open_decoder(struct fmt_rows *rows, const struct format *format, unsi
     rows->decoder = format->decoder;
     if (!format->program) {
         rows->input.stream =
-            fopencookie(&rows->input, "r", (cookie_io_functions_t){.read = read_stream});
+            fopencookie(&rows->input, "r", (cookie_io_functions_t){.read = rows_read_stream});
         if (!rows->input.stream)
             return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", rows->input.path);
     }
     BSQ_TRY(rows->decoder->open(&rows->input, &rows->info, &rows->state));
     if (info->width < 1 || info->height < 1 || info->channels < 1)
         return fmt_rows_unreadable(&rows->input, "it has no texels");
-    status = info->whole ? reserve_whole(rows, format->name) : reserve(rows, info->bytes);
+    status = info->whole ? reserve_whole(rows, format->name) : rows_reserve(rows, info->bytes);
 done:
     return status;
 }
@@ -227,7 +227,7 @@ int fmt_rows_open(struct bsq_ctx *ctx, const char *path, unsigned sharers, struc
     int status;
     *rows = (struct fmt_rows){.input = {.ctx = ctx, .path = path, .file = BSQ_FILE_CLOSED}};
     BSQ_TRY(bsq_extent_open(ctx, path, &extent, &rows->input.file));
-    read_at(&probe, 0, probe.head, sizeof probe.head);
+    rows_read_at(&probe, 0, probe.head, sizeof probe.head);
     const struct format *format = find_format(&probe);
     BSQ_TRY(probe.status);
     if (format) /* what is no image is not copied: it may be large */

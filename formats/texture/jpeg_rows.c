@@ -89,7 +89,7 @@ static void on_progress(j_common_ptr jpeg)
 
 /* ---- opening ---- */
 
-static void start(struct jpeg_rows *rows)
+static void jpeg_rows_start(struct jpeg_rows *rows)
 {
     rows->jpeg.err = jpeg_std_error(&rows->errors);
     rows->errors.error_exit = leave_with_message;
@@ -113,12 +113,12 @@ static uint64_t coefficient_bytes(const struct jpeg_decompress_struct *jpeg)
     return bytes;
 }
 
-static int read_header(struct jpeg_rows *rows, struct fmt_rows_info *out)
+static int jpeg_rows_read_header(struct jpeg_rows *rows, struct fmt_rows_info *out)
 {
     struct jpeg_decompress_struct *jpeg = &rows->jpeg;
     if (setjmp(rows->target))
         return -1;
-    start(rows);
+    jpeg_rows_start(rows);
     jpeg_read_header(jpeg, TRUE);
     const bool inks = jpeg->jpeg_color_space == JCS_CMYK || jpeg->jpeg_color_space == JCS_YCCK;
     if (inks)
@@ -141,7 +141,7 @@ static int open_jpeg(struct fmt_rows_input *input, struct fmt_rows_info *info, v
     if (status < 0)
         return status;
     rows->input = input;
-    return read_header(rows, info) < 0 ? fmt_rows_unreadable(input, rows->message) : 0;
+    return jpeg_rows_read_header(rows, info) < 0 ? fmt_rows_unreadable(input, rows->message) : 0;
 }
 
 static void close_jpeg(void *state)

@@ -37,7 +37,7 @@ static void on_warning(png_structp png, png_const_charp text)
     (void)png, (void)text;
 }
 
-static png_voidp allocate(png_structp png, png_alloc_size_t size)
+static png_voidp png_rows_allocate(png_structp png, png_alloc_size_t size)
 {
     struct png_rows *rows = png_get_mem_ptr(png);
     struct fmt_rows_input *input = rows->input;
@@ -71,7 +71,7 @@ static double gamma_of(const struct png_rows *rows)
     return (double)(roundf(100 * (float)(1 / exponent)) / 100);
 }
 
-static void describe(struct png_rows *rows, struct fmt_rows_info *out)
+static void png_rows_describe(struct png_rows *rows, struct fmt_rows_info *out)
 {
     out->width = png_get_image_width(rows->png, rows->info);
     out->height = rows->height = png_get_image_height(rows->png, rows->info);
@@ -86,7 +86,7 @@ static void describe(struct png_rows *rows, struct fmt_rows_info *out)
 }
 
 /* Expands palettes and small depths. */
-static int read_header(struct png_rows *rows, struct fmt_rows_info *out)
+static int png_rows_read_header(struct png_rows *rows, struct fmt_rows_info *out)
 {
     static const uint16_t probe = 1;
     if (setjmp(rows->target))
@@ -98,7 +98,7 @@ static int read_header(struct png_rows *rows, struct fmt_rows_info *out)
         png_set_swap(rows->png);
     png_set_interlace_handling(rows->png);
     png_read_update_info(rows->png, rows->info);
-    describe(rows, out);
+    png_rows_describe(rows, out);
     return 0;
 }
 
@@ -111,10 +111,11 @@ static int open_png(struct fmt_rows_input *input, struct fmt_rows_info *info, vo
         return status;
     rows->input = input;
     rows->png = png_create_read_struct_2(PNG_LIBPNG_VER_STRING, rows, on_error, on_warning, rows,
-                                         allocate, deallocate);
+                                         png_rows_allocate, deallocate);
     rows->info = rows->png ? png_create_info_struct(rows->png) : NULL;
-    return rows->info && read_header(rows, info) == 0 ? 0
-                                                      : fmt_rows_unreadable(input, reason(rows));
+    return rows->info && png_rows_read_header(rows, info) == 0
+               ? 0
+               : fmt_rows_unreadable(input, reason(rows));
 }
 
 bool fmt_png_text(const void *state, uint32_t i, const char **name, const char **value)
@@ -149,7 +150,7 @@ static int read_row(struct png_rows *rows, png_bytep row)
 }
 
 /* The seven passes of an interlaced image go over all rows, each of which keeps earlier pixels. */
-static int read_whole(struct png_rows *rows)
+static int png_rows_read_whole(struct png_rows *rows)
 {
     enum { PASSES = 7 };
     struct bsq_ctx *ctx = rows->input->ctx;
@@ -173,7 +174,7 @@ static int read_png(void *state, void *row)
     if (!rows->interlaced)
         return read_row(rows, row);
     if (!rows->whole)
-        status = read_whole(rows);
+        status = png_rows_read_whole(rows);
     if (status == 0)
         memcpy(row, rows->whole + rows->next++ * rows->row_bytes, rows->row_bytes);
     return status;

@@ -19,7 +19,8 @@ struct program_rows {
 
 /* Lets the program decode the image. It gets half of the memory that is left, as texels need some
  * too, or its share of that. */
-static int run(const struct fmt_rows_input *input, struct bsq_file *out, char program[PATH_MAX])
+static int program_rows_run(const struct fmt_rows_input *input, struct bsq_file *out,
+                            char program[PATH_MAX])
 {
     struct bsq_ctx *ctx = input->ctx;
     const uint64_t bytes = bsq_memory_share(ctx, "decoding a texture", 2) / input->sharers;
@@ -51,7 +52,7 @@ static int open_program(struct fmt_rows_input *input, struct fmt_rows_info *info
     *state = rows;
     *rows = (struct program_rows){
         .ctx = input->ctx, .file = BSQ_FILE_CLOSED, .at = sizeof(struct fmt_rows_head)};
-    BSQ_TRY(run(input, &rows->file, program));
+    BSQ_TRY(program_rows_run(input, &rows->file, program));
     if (rows->file.size >= sizeof head)
         BSQ_TRY(bsq_file_read(input->ctx, &rows->file, &head, sizeof head, 0));
     rows->row_bytes = (uint64_t)head.info.width * head.info.channels * head.info.sample_bytes;

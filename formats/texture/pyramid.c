@@ -132,7 +132,7 @@ static double cell_extent(uint32_t i, unsigned shift, uint32_t texels)
 }
 
 /* Lays out the levels. Returns the number of their blocks. */
-static uint64_t lay_out(struct fmt_pyramid *p)
+static uint64_t pyramid_lay_out(struct fmt_pyramid *p)
 {
     uint64_t blocks = 0;
     for (uint32_t n = 0; n < p->level_count; n++) {
@@ -151,7 +151,7 @@ static uint64_t lay_out(struct fmt_pyramid *p)
 }
 
 /* Finds the place of an image: memory as long as there is some. The lock is held. */
-static int find_place(struct fmt_pyramid *p, uint64_t count)
+static int pyramid_find_place(struct fmt_pyramid *p, uint64_t count)
 {
     struct fmt_blocks *blocks = p->blocks;
     const uint64_t bytes = count * BLOCK_BYTES, most = blocks->bytes / 4 * 3;
@@ -171,7 +171,7 @@ done:
 }
 
 /* Allocates what adding rows to a level needs. */
-static int prepare(struct fmt_pyramid *p, struct level *level)
+static int pyramid_prepare(struct fmt_pyramid *p, struct level *level)
 {
     struct bsq_ctx *ctx = p->blocks->ctx;
     const uint64_t samples = (uint64_t)level->width * p->channels;
@@ -193,20 +193,20 @@ int fmt_pyramid_begin(struct fmt_pyramid *p, double gamma)
     for (p->level_count = 1; side >> (p->level_count + 1) >= CELLS_ALONG;)
         p->level_count++;
     BSQ_TRY(bsq_calloc(blocks->ctx, "texture", p->level_count, sizeof *p->levels, &p->levels));
-    const uint64_t count = lay_out(p);
+    const uint64_t count = pyramid_lay_out(p);
     pthread_mutex_lock(&blocks->lock);
     status = p->sample_bytes < 4 ? find_table(blocks, 8 * p->sample_bytes, gamma, &p->table) : 0;
     if (status == 0)
-        status = find_place(p, count);
+        status = pyramid_find_place(p, count);
     pthread_mutex_unlock(&blocks->lock);
     for (uint32_t n = 0; n < p->level_count; n++)
-        BSQ_TRY(status < 0 ? status : prepare(p, &p->levels[n]));
+        BSQ_TRY(status < 0 ? status : pyramid_prepare(p, &p->levels[n]));
 done:
     return status;
 }
 
 /* Converts a row to linear light. Returns the result. */
-static const float *make_linear(struct fmt_pyramid *p, const void *row)
+static const float *pyramid_make_linear(struct fmt_pyramid *p, const void *row)
 {
     float *out = p->levels[0].row;
     const size_t count = (size_t)p->width * p->channels;
@@ -278,7 +278,7 @@ static bool add_to_above(const struct fmt_pyramid *p, const struct level *below,
 
 int fmt_pyramid_add_row(struct fmt_pyramid *p, const void *row)
 {
-    const float *linear = make_linear(p, row);
+    const float *linear = pyramid_make_linear(p, row);
     int status = store_row(p, &p->levels[0], p->sample_bytes < 4 ? row : linear);
     for (uint32_t n = 1; n < p->level_count && status == 0; n++) {
         if (!add_to_above(p, &p->levels[n - 1], &p->levels[n], linear))
@@ -324,7 +324,7 @@ struct use {
 };
 
 /* Returns the slot of a block, or the one that it replaces. The set is locked. */
-static unsigned find_slot(const struct block_set *set, uint64_t number)
+static unsigned pyramid_find_slot(const struct block_set *set, uint64_t number)
 {
     unsigned oldest = 0;
     for (unsigned i = 0; i < SET_BLOCKS; i++) {
@@ -337,7 +337,7 @@ static unsigned find_slot(const struct block_set *set, uint64_t number)
 }
 
 /* Reads a block of an image. End its use with give_back(), also after a failure. */
-static int take(const struct fmt_pyramid *p, uint64_t block, struct use *use)
+static int pyramid_take(const struct fmt_pyramid *p, uint64_t block, struct use *use)
 {
     struct fmt_blocks *blocks = p->blocks;
     int status = 0;
@@ -348,7 +348,7 @@ static int take(const struct fmt_pyramid *p, uint64_t block, struct use *use)
     const uint64_t index = (number * UINT64_C(0x9e3779b97f4a7c15) >> 32) % blocks->set_count;
     struct block_set *set = use->set = &blocks->sets[index];
     pthread_mutex_lock(&set->lock);
-    const unsigned slot = find_slot(set, number);
+    const unsigned slot = pyramid_find_slot(set, number);
     uint8_t *cells = blocks->slots + (index * SET_BLOCKS + slot) * BLOCK_BYTES;
     if (set->used[slot] == 0 || set->numbers[slot] != number) {
         set->used[slot] = 0;
@@ -382,7 +382,7 @@ struct cells {
 };
 
 /* Returns the length that [first, first + extent) and [a, b) share. They must not be disjoint. */
-static double overlap(double first, double extent, double a, double b)
+static double pyramid_overlap(double first, double extent, double a, double b)
 {
     const double end = first + extent;
     return (end < b ? end : b) - (first < a ? a : first);
@@ -402,7 +402,7 @@ add_cells(const struct fmt_pyramid *p, const struct level *level, unsigned sampl
         double line[3] = {0, 0, 0};
         for (uint32_t x = cells->x0; x < cells->x1; x++) {
             const double weight =
-                overlap(x * size, cell_extent(x, level->shift, p->width), r->x0, r->x1);
+                pyramid_overlap(x * size, cell_extent(x, level->shift, p->width), r->x0, r->x1);
             for (uint32_t c = 0; c < channels; c++, i++)
                 line[c] +=
                     weight * (double)(sample_bytes == 1   ? p->table[((const uint8_t *)block)[i]]
@@ -410,14 +410,15 @@ add_cells(const struct fmt_pyramid *p, const struct level *level, unsigned sampl
                                                           : ((const float *)block)[i]);
         }
         const double weight =
-            overlap(y * size, cell_extent(y, level->shift, p->height), r->y0, r->y1);
+            pyramid_overlap(y * size, cell_extent(y, level->shift, p->height), r->y0, r->y1);
         for (uint32_t c = 0; c < channels; c++)
             sum[c] += weight * line[c];
     }
 }
 
-static void add_block(const struct fmt_pyramid *p, const struct level *level, const uint8_t *block,
-                      const struct cells *cells, const struct rectangle *r, double sum[3])
+static void pyramid_add_block(const struct fmt_pyramid *p, const struct level *level,
+                              const uint8_t *block, const struct cells *cells,
+                              const struct rectangle *r, double sum[3])
 {
     if (level->shift > 0 || p->sample_bytes == 4)
         add_cells(p, level, 4, block, cells, r, sum);
@@ -449,9 +450,10 @@ static int add_level(const struct fmt_pyramid *p, const struct level *level,
             const uint32_t across = cells.x0 / BLOCK_COLUMNS;
             struct use use;
             cells.x1 = least(x_end, (across + 1) * BLOCK_COLUMNS);
-            status = take(p, level->first + (uint64_t)down * level->blocks_across + across, &use);
+            status = pyramid_take(p, level->first + (uint64_t)down * level->blocks_across + across,
+                                  &use);
             if (status == 0)
-                add_block(p, level, use.cells, &cells, r, sum);
+                pyramid_add_block(p, level, use.cells, &cells, r, sum);
             give_back(&use);
         }
     }

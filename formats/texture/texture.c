@@ -90,7 +90,7 @@ static int add_image(struct fmt_textures *t, const char *path)
 }
 
 /* Adds a texture and its images. */
-static int add_texture(struct fmt_textures *t, const struct fmt_texture_source *source)
+static int texture_add(struct fmt_textures *t, const struct fmt_texture_source *source)
 {
     struct bsq_ctx *ctx = t->ctx;
     char *path = NULL;
@@ -113,8 +113,8 @@ done:
 }
 
 /* Lists each distinct source once, in the order of the sources: materials often share a file. */
-static int list_textures(struct fmt_textures *t, const struct fmt_texture_source *sources,
-                         uint32_t count)
+static int texture_list(struct fmt_textures *t, const struct fmt_texture_source *sources,
+                        uint32_t count)
 {
     struct entry *entries = NULL;
     uint32_t used = 0;
@@ -134,7 +134,7 @@ static int list_textures(struct fmt_textures *t, const struct fmt_texture_source
     }
     for (uint32_t i = 0; i < count; i++) {
         if (t->texture_of[i] == i)
-            BSQ_TRY(add_texture(t, &sources[i]));
+            BSQ_TRY(texture_add(t, &sources[i]));
         if (t->texture_of[i] != UINT32_MAX)
             t->texture_of[i] =
                 t->texture_of[i] == i ? (uint32_t)(t->count - 1) : t->texture_of[t->texture_of[i]];
@@ -157,8 +157,8 @@ static void keep_channels(const struct fmt_rows_info *info, uint32_t first, uint
 }
 
 /* Reads all rows of an image, and keeps them if lookups are wanted. */
-static int read_rows(struct fmt_textures *t, struct image *image, struct fmt_rows *rows,
-                     uint8_t *row)
+static int texture_read_rows(struct fmt_textures *t, struct image *image, struct fmt_rows *rows,
+                             uint8_t *row)
 {
     const struct fmt_texture_source *source = &t->list[image->texture].source;
     const struct fmt_rows_info *info = &rows->info;
@@ -188,7 +188,7 @@ done:
 }
 
 /* sharers: how many images may be decoded at the same time. */
-static int decode(struct fmt_textures *t, struct image *image, unsigned sharers)
+static int texture_decode(struct fmt_textures *t, struct image *image, unsigned sharers)
 {
     struct fmt_rows rows;
     uint8_t *row = NULL;
@@ -197,7 +197,7 @@ static int decode(struct fmt_textures *t, struct image *image, unsigned sharers)
     image->has_alpha = rows.info.alpha >= 0;
     BSQ_TRY(bsq_alloc(t->ctx, "texture rows", rows.info.width,
                       (uint64_t)rows.info.channels * rows.info.sample_bytes, &row));
-    BSQ_TRY(read_rows(t, image, &rows, row));
+    BSQ_TRY(texture_read_rows(t, image, &rows, row));
     BSQ_TRY(bsq_file_check(t->ctx, &rows.input.file));
 done:
     bsq_free(t->ctx, row);
@@ -218,7 +218,7 @@ static int decode_image(void *arg, uint64_t index, unsigned worker)
     struct image *image = &t->images[index];
     (void)worker;
     const uint64_t count = t->image_count, threads = bsq_threads(t->ctx);
-    image->status = decode(t, image, (unsigned)(count < threads ? count : threads));
+    image->status = texture_decode(t, image, (unsigned)(count < threads ? count : threads));
     const bool may_have_been_short = image->status == BSQ_ENOMEM && t->image_count > 1;
     return is_fault_of_image(image) || may_have_been_short ? 0 : image->status;
 }
@@ -229,7 +229,7 @@ static int decode_again(struct fmt_textures *t, struct image *image)
 {
     const bool may_fail = !t->keeps || t->list[image->texture].missing;
     bsq_clear_error(t->ctx);
-    image->status = decode(t, image, 1);
+    image->status = texture_decode(t, image, 1);
     if (!is_fault_of_image(image) || !may_fail || bsq_check(t->ctx) < 0)
         return image->status;
     image->damage = strdup(bsq_error(t->ctx));
@@ -249,7 +249,7 @@ static const struct image *damaged_image(const struct fmt_textures *t,
     return &t->images[texture->first + count - 1];
 }
 
-static int decode_all(struct fmt_textures *t)
+static int texture_decode_all(struct fmt_textures *t)
 {
     int status;
     BSQ_TRY(bsq_parallel_for(t->ctx, t->image_count, decode_image, t));
@@ -279,8 +279,8 @@ int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sour
     t->keeps = cache_bytes > 0;
     fmt_blocks_create(ctx, cache_bytes, &t->blocks);
     BSQ_TRY(bsq_alloc(ctx, "textures", count + UINT64_C(1), sizeof *t->texture_of, &t->texture_of));
-    BSQ_TRY(list_textures(t, sources, count));
-    BSQ_TRY(decode_all(t));
+    BSQ_TRY(texture_list(t, sources, count));
+    BSQ_TRY(texture_decode_all(t));
     *out = t;
 done:
     if (status < 0)
@@ -359,7 +359,7 @@ static double settle(float coordinate)
 }
 
 /* Returns the lower corner of the tile that a coordinate is in; a border ends the tile below. */
-static double corner_of(double u)
+static double texture_corner_of(double u)
 {
     return fmax(ceil(u) - 1, fmin(floor(u), 0));
 }
@@ -378,8 +378,8 @@ static int compare_numbers(const void *a, const void *b)
 }
 
 /* Returns the image of a tile, or NULL. */
-static const struct image *find_image(const struct fmt_textures *t, const struct texture *texture,
-                                      uint32_t number)
+static const struct image *texture_find_image(const struct fmt_textures *t,
+                                              const struct texture *texture, uint32_t number)
 {
     const struct bsq_tile_files *files = &texture->files;
     const struct bsq_tile_file *file =
@@ -396,7 +396,8 @@ static double keep_inside(double centre, float width, uint32_t texels)
     return (double)(float)fmin(fmax(centre, half), 1.0 - half);
 }
 
-static int sample(const struct image *image, double u, double v, float du, float dv, float out[3])
+static int texture_sample(const struct image *image, double u, double v, float du, float dv,
+                          float out[3])
 {
     const struct fmt_pyramid *p = &image->pyramid;
     /* Reduce to one period before scaling, so that large coordinates keep their precision in
@@ -415,12 +416,13 @@ static int sample_tiles(struct fmt_textures *t, struct texture *texture, double 
         left = floor(u) - (double)(i & 1);
         lower = floor(v) - (double)(i >> 1);
         if (u - left <= 1 && v - lower <= 1)
-            image = find_image(t, texture, tile_number(left, lower));
+            image = texture_find_image(t, texture, tile_number(left, lower));
     }
     if (image)
-        return sample(image, keep_inside(u - left, du, image->pyramid.width),
-                      keep_inside(v - lower, dv, image->pyramid.height), du, dv, out);
-    atomic_uchar *missing = &texture->missing[tile_number(corner_of(u), corner_of(v))];
+        return texture_sample(image, keep_inside(u - left, du, image->pyramid.width),
+                              keep_inside(v - lower, dv, image->pyramid.height), du, dv, out);
+    atomic_uchar *missing =
+        &texture->missing[tile_number(texture_corner_of(u), texture_corner_of(v))];
     if (atomic_load_explicit(missing, memory_order_relaxed) == 0)
         atomic_store_explicit(missing, 1, memory_order_relaxed);
     out[0] = out[1] = out[2] = 0;
@@ -442,9 +444,10 @@ int fmt_texture_sample(struct fmt_textures *t, uint32_t source, const uint8_t wr
     struct texture *texture = &t->list[t->texture_of[source]];
     const struct image *image = &t->images[texture->first];
     const struct fmt_pyramid *p = &image->pyramid;
-    return texture->missing ? sample_tiles(t, texture, settle(u), settle(v), du, dv, out)
-                            : sample(image, unwrap((enum bsq_wrap)wrap[0], u, du, p->width),
-                                     unwrap((enum bsq_wrap)wrap[1], v, dv, p->height), du, dv, out);
+    return texture->missing
+               ? sample_tiles(t, texture, settle(u), settle(v), du, dv, out)
+               : texture_sample(image, unwrap((enum bsq_wrap)wrap[0], u, du, p->width),
+                                unwrap((enum bsq_wrap)wrap[1], v, dv, p->height), du, dv, out);
 }
 
 /* ---- losses ---- */

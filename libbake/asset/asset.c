@@ -64,7 +64,8 @@ done:
 /* ---- images ---- */
 
 /* Returns the number of a transfer map of one value with this name; NO_MAP: there is none. */
-static uint32_t find_transfer(const struct bake_options *options, uint32_t maps, const char *name)
+static uint32_t asset_find_transfer(const struct bake_options *options, uint32_t maps,
+                                    const char *name)
 {
     for (uint32_t i = BK_MAP_COUNT; i < bake_selection_end(maps); i++)
         if (bake_has_file(options, maps, i) && strcmp(bake_name_of(options, i), name) == 0 &&
@@ -74,8 +75,8 @@ static uint32_t find_transfer(const struct bake_options *options, uint32_t maps,
 }
 
 /* Converts rows of the current tile for an image. `first` counts them in the band. */
-static void convert(const struct bake_asset *asset, const struct bake_map_files *files,
-                    enum fmt_glb_texture texture, uint32_t first, uint32_t rows)
+static void asset_convert(const struct bake_asset *asset, const struct bake_map_files *files,
+                          enum fmt_glb_texture texture, uint32_t first, uint32_t rows)
 {
     const struct tile_images *tile = &asset->tiles[asset->current];
     const uint64_t texels = (uint64_t)rows * tile->width, begin = (uint64_t)first * tile->width;
@@ -104,7 +105,7 @@ static int take_rows(void *arg, const struct bake_map_files *files, uint32_t row
         for (int k = 0; k < FMT_GLB_TEXTURES; k++) {
             if (!tile->writers[k])
                 continue;
-            convert(asset, files, (enum fmt_glb_texture)k, first, count);
+            asset_convert(asset, files, (enum fmt_glb_texture)k, first, count);
             BSQ_TRY(fmt_image_write_rows(tile->writers[k], asset->rows, count));
         }
     }
@@ -126,8 +127,8 @@ int bake_asset_begin_tile(struct bake_asset *asset, uint32_t number,
         [COLOR] = bake_has_file(options, maps, BK_MAP_color) ? BK_MAP_color : (uint32_t)NO_MAP,
         [NORMAL] = bake_has_file(options, maps, BK_MAP_normal) ? BK_MAP_normal : (uint32_t)NO_MAP,
         [OCCLUSION] = bake_has_file(options, maps, BK_MAP_ao) ? BK_MAP_ao : (uint32_t)NO_MAP,
-        [ROUGHNESS] = find_transfer(options, maps, "roughness"),
-        [METALLIC] = find_transfer(options, maps, "metallic")};
+        [ROUGHNESS] = asset_find_transfer(options, maps, "roughness"),
+        [METALLIC] = asset_find_transfer(options, maps, "metallic")};
     const bool wanted[FMT_GLB_TEXTURES] = {[FMT_GLB_BASE_COLOR] = found[COLOR] != NO_MAP,
                                            [FMT_GLB_NORMAL] = found[NORMAL] != NO_MAP,
                                            [FMT_GLB_ORM] = found[OCCLUSION] != NO_MAP ||
@@ -256,9 +257,9 @@ static bool belongs(const struct bake_lowmesh *mesh, uint64_t triangle,
 
 /* Adds the primitive of a tile, unless it is empty. A tile of number 0 has what is in no tile.
  * corners: memory for all of its corners. */
-static int add_primitive(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
-                         const struct bake_udim *udim, const struct bake_udim_tile *tile,
-                         struct corner *corners, struct primitives *out)
+static int asset_add_primitive(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
+                               const struct bake_udim *udim, const struct bake_udim_tile *tile,
+                               struct corner *corners, struct primitives *out)
 {
     const bool plain = tile->number == 0;
     struct fmt_glb_vertex *vertices = out->vertices + out->vertex_count;
@@ -317,9 +318,9 @@ static int make_primitives(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
     BSQ_TRY(bsq_alloc(ctx, "corners of a GLB file", corners, sizeof *sorted, &sorted));
     for (uint32_t i = 0; i < udim->count; i++) {
         out->tiles[out->count] = i;
-        BSQ_TRY(add_primitive(ctx, mesh, udim, &udim->tiles[i], sorted, out));
+        BSQ_TRY(asset_add_primitive(ctx, mesh, udim, &udim->tiles[i], sorted, out));
     }
-    status = add_primitive(ctx, mesh, udim, &rest, sorted, out);
+    status = asset_add_primitive(ctx, mesh, udim, &rest, sorted, out);
 done:
     bsq_free(ctx, sorted);
     return status;

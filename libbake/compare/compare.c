@@ -69,7 +69,7 @@ done:
     return status;
 }
 
-static int read_rows(struct bsq_ctx *ctx, struct fmt_rows *rows, struct fmt_exr_image *out)
+static int compare_read_rows(struct bsq_ctx *ctx, struct fmt_rows *rows, struct fmt_exr_image *out)
 {
     const struct fmt_rows_info *info = &rows->info;
     const uint64_t samples = (uint64_t)info->width * info->channels;
@@ -99,8 +99,8 @@ done:
 /* Reads a map: OpenEXR, PNG, or another format that textures may have. Integers become 0 to 1.
  * Bisque and other programs store the attributes of PNG files as texts. Free the image with
  * fmt_exr_image_free(). */
-static int read_map(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *out,
-                    struct bake_samples *samples)
+static int compare_read_map(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *out,
+                            struct bake_samples *samples)
 {
     static const char exr[4] = {0x76, 0x2f, 0x31, 0x01};
     struct bsq_file file = BSQ_FILE_CLOSED;
@@ -118,7 +118,7 @@ static int read_map(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image 
     BSQ_TRY(fmt_rows_open(ctx, path, 1, &rows));
     samples->integers = rows.info.sample_bytes < 4;
     samples->gamma = samples->integers ? rows.info.gamma : 1;
-    status = read_rows(ctx, &rows, out);
+    status = compare_read_rows(ctx, &rows, out);
 done:
     fmt_rows_close(&rows);
     bsq_file_close(ctx, &file);
@@ -138,20 +138,20 @@ static int check_same_size(struct bsq_ctx *ctx, const char *path, const struct f
                     image->height, other_path, other->width, other->height);
 }
 
-static int load(struct bsq_ctx *ctx, const struct bake_compare_options *o,
-                struct bake_comparison *c)
+static int compare_load_image(struct bsq_ctx *ctx, const struct bake_compare_options *o,
+                              struct bake_comparison *c)
 {
     struct bake_samples mask;
     int status;
-    BSQ_TRY(read_map(ctx, o->a_path, &c->a, &c->a_samples));
-    BSQ_TRY(read_map(ctx, o->b_path, &c->b, &c->b_samples));
+    BSQ_TRY(compare_read_map(ctx, o->a_path, &c->a, &c->a_samples));
+    BSQ_TRY(compare_read_map(ctx, o->b_path, &c->b, &c->b_samples));
     BSQ_TRY(check_same_size(ctx, o->a_path, &c->a, o->b_path, &c->b));
     if (o->a_mask_path) {
-        BSQ_TRY(read_map(ctx, o->a_mask_path, &c->a_mask, &mask));
+        BSQ_TRY(compare_read_map(ctx, o->a_mask_path, &c->a_mask, &mask));
         BSQ_TRY(check_same_size(ctx, o->a_mask_path, &c->a_mask, o->a_path, &c->a));
     }
     if (o->b_mask_path) {
-        BSQ_TRY(read_map(ctx, o->b_mask_path, &c->b_mask, &mask));
+        BSQ_TRY(compare_read_map(ctx, o->b_mask_path, &c->b_mask, &mask));
         BSQ_TRY(check_same_size(ctx, o->b_mask_path, &c->b_mask, o->b_path, &c->b));
     }
 done:
@@ -173,7 +173,7 @@ static uint32_t count_colors(const struct fmt_exr_image *image)
 }
 
 /* Returns the channel with this name, or that of a grey map. */
-static uint32_t find_channel(const struct fmt_exr_image *image, const char *name)
+static uint32_t compare_find_channel(const struct fmt_exr_image *image, const char *name)
 {
     const uint32_t found = fmt_exr_channel(image, name);
     return found == UINT32_MAX && count_colors(image) == 1 ? fmt_exr_channel(image, "Y") : found;
@@ -192,7 +192,7 @@ static bool pair_rgb(struct bake_comparison *c)
     bool all = has_rgb(&c->a) || has_rgb(&c->b);
     c->pair_count = 0;
     for (int k = 0; k < 3; k++) {
-        add_pair(c, find_channel(&c->a, names[k]), find_channel(&c->b, names[k]));
+        add_pair(c, compare_find_channel(&c->a, names[k]), compare_find_channel(&c->b, names[k]));
         all &= c->pairs[k][0] != UINT32_MAX && c->pairs[k][1] != UINT32_MAX;
     }
     return all;
@@ -284,8 +284,8 @@ static int choose_kind(struct bsq_ctx *ctx, const struct bake_compare_options *o
 /* ---- decoding ---- */
 
 /* Turns integers of a map of colours into linear light. */
-static int make_linear(struct bsq_ctx *ctx, const struct bake_samples *of,
-                       struct fmt_exr_image *image)
+static int compare_make_linear(struct bsq_ctx *ctx, const struct bake_samples *of,
+                               struct fmt_exr_image *image)
 {
     const uint64_t samples = (uint64_t)image->width * image->channel_count;
     const uint32_t alpha = fmt_exr_channel(image, "A");
@@ -303,7 +303,7 @@ done:
 }
 
 /* Reads up to three numbers of an attribute. Returns how many there are. */
-static int read_numbers(const struct fmt_exr_image *image, const char *name, double out[3])
+static int compare_read_numbers(const struct fmt_exr_image *image, const char *name, double out[3])
 {
     const char *text = fmt_exr_image_attribute(image, name);
     const locale_t host = bsq_plain_numbers();
@@ -319,8 +319,8 @@ static void decode_values(const struct bake_samples *of, struct fmt_exr_image *i
 {
     static const char *const names[] = {"R", "G", "B"};
     double scale[3], offset[3];
-    if (!of->integers || read_numbers(image, "bisque:scale", scale) < 1 ||
-        read_numbers(image, "bisque:offset", offset) < 1)
+    if (!of->integers || compare_read_numbers(image, "bisque:scale", scale) < 1 ||
+        compare_read_numbers(image, "bisque:offset", offset) < 1)
         return;
     for (uint32_t c = 0; c < image->channel_count; c++) {
         int k = 0;
@@ -335,12 +335,12 @@ static void decode_values(const struct bake_samples *of, struct fmt_exr_image *i
 
 /* Gives both maps values that can be compared. Values of data are decoded if both files say how
  * they are encoded. */
-static int decode(struct bsq_ctx *ctx, struct bake_comparison *c)
+static int compare_decode(struct bsq_ctx *ctx, struct bake_comparison *c)
 {
     int status = 0;
     if (c->kind == BAKE_COMPARE_COLOR) {
-        BSQ_TRY(make_linear(ctx, &c->a_samples, &c->a));
-        BSQ_TRY(make_linear(ctx, &c->b_samples, &c->b));
+        BSQ_TRY(compare_make_linear(ctx, &c->a_samples, &c->a));
+        BSQ_TRY(compare_make_linear(ctx, &c->b_samples, &c->b));
     }
     if (c->kind == BAKE_COMPARE_DATA && fmt_exr_image_attribute(&c->a, "bisque:scale") &&
         fmt_exr_image_attribute(&c->b, "bisque:scale")) {
@@ -400,7 +400,7 @@ static float error_at(const struct bake_comparison *c, uint64_t texel)
     return c->kind == BAKE_COMPARE_NORMAL ? angle_between(a, b) : colour_difference(a, b);
 }
 
-static int measure_row(void *arg, uint64_t y, unsigned worker)
+static int compare_measure_row(void *arg, uint64_t y, unsigned worker)
 {
     (void)worker;
     struct bake_comparison *c = arg;
@@ -540,14 +540,14 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
     int status = 0;
     BSQ_TRY(bsq_clear_report(ctx, "bake_compare_report", report, sizeof *report));
     BSQ_TRY(bsq_check_size(ctx, "bake_compare_options", options->size, sizeof *options));
-    BSQ_TRY(load(ctx, options, &c));
+    BSQ_TRY(compare_load_image(ctx, options, &c));
     BSQ_TRY(check_same_meaning(ctx, options, &c));
     BSQ_TRY(bsq_alloc(ctx, "channels", c.a.channel_count + UINT64_C(3), sizeof *c.pairs, &c.pairs));
     BSQ_TRY(choose_kind(ctx, options, &c));
-    BSQ_TRY(decode(ctx, &c));
+    BSQ_TRY(compare_decode(ctx, &c));
     BSQ_TRY(
         bsq_alloc(ctx, "errors", (uint64_t)c.a.width * c.a.height, sizeof *c.errors, &c.errors));
-    BSQ_TRY(bsq_parallel_for(ctx, c.a.height, measure_row, &c));
+    BSQ_TRY(bsq_parallel_for(ctx, c.a.height, compare_measure_row, &c));
     BSQ_TRY(bake_comparison_summarise(ctx, options, &c, report));
     report->scale = options->scale > 0                         ? options->scale
                     : report->p99 > 0 && isfinite(report->p99) ? report->p99

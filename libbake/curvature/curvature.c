@@ -60,7 +60,7 @@ struct work {
 
 /* ---- rays ---- */
 
-static struct bsq_vec3 add(struct bsq_vec3 a, float s, struct bsq_vec3 b)
+static struct bsq_vec3 curvature_add(struct bsq_vec3 a, float s, struct bsq_vec3 b)
 {
     return bsq_v3(a.x + s * b.x, a.y + s * b.y, a.z + s * b.z);
 }
@@ -71,7 +71,7 @@ static struct bsq_vec3 normal_of(const struct work *work, uint64_t texel)
     return bsq_v3(n[0], n[1], n[2]);
 }
 
-static bool is_valid(const struct work *work, uint64_t texel)
+static bool curvature_is_valid(const struct work *work, uint64_t texel)
 {
     return work->texels[texel * work->channels] > 0.0f;
 }
@@ -84,7 +84,7 @@ static struct bsq_vec3 outwards(struct bsq_vec3 n, uint32_t number)
                                                      : bsq_v3(0, 0, 1);
     const struct bsq_vec3 a = bsq_unit3(bsq_cross3(axis, n)), b = bsq_cross3(n, a);
     const float *direction = pair_directions[number / 2], sign = number & 1 ? -1.0f : 1.0f;
-    return add(
+    return curvature_add(
         bsq_v3(sign * direction[0] * a.x, sign * direction[0] * a.y, sign * direction[0] * a.z),
         sign * direction[1], b);
 }
@@ -102,7 +102,7 @@ static struct bake_exact_ray probe_ray(const struct work *work, uint64_t probe, 
     const double unit = work->job->surface->unit;
     const float *position = work->texels + texel * work->channels + work->job->offset;
     const struct bsq_vec3 n = normal_of(work, texel), out = outwards(n, number);
-    const struct bsq_vec3 d = bsq_unit3(add(n, lean, out));
+    const struct bsq_vec3 d = bsq_unit3(curvature_add(n, lean, out));
     const float distance = distance_of(work, number);
     return (struct bake_exact_ray){{(float)((double)(position[0] + distance * out.x) / unit),
                                     (float)((double)(position[1] + distance * out.y) / unit),
@@ -111,8 +111,8 @@ static struct bake_exact_ray probe_ray(const struct work *work, uint64_t probe, 
 }
 
 /* Sets a probe to the hit of its ray, unless the surface there faces the other way. */
-static void take_hit(const struct work *work, uint64_t probe, const struct bake_exact_ray *ray,
-                     const struct bake_exact_hit *hit)
+static void curvature_take_hit(const struct work *work, uint64_t probe,
+                               const struct bake_exact_ray *ray, const struct bake_exact_hit *hit)
 {
     const uint32_t number = (uint32_t)(probe % PROBES);
     const struct bsq_vec3 d = bsq_v3(ray->direction[0], ray->direction[1], ray->direction[2]);
@@ -121,9 +121,10 @@ static void take_hit(const struct work *work, uint64_t probe, const struct bake_
     const float distance = distance_of(work, number);
     if (hit->triangle == BAKE_EXACT_NONE || !(bsq_dot3(normal, d) > 0.0f))
         return;
-    work->probes[probe] = (struct probe){
-        add(bsq_v3(distance * out.x, distance * out.y, distance * out.z), (float)hit->t, d), normal,
-        true};
+    work->probes[probe] =
+        (struct probe){curvature_add(bsq_v3(distance * out.x, distance * out.y, distance * out.z),
+                                     (float)hit->t, d),
+                       normal, true};
 }
 
 /* ---- listed probes ---- */
@@ -172,7 +173,8 @@ static int take_probes(void *arg, uint64_t index, unsigned worker)
         const bool inner =
             task->each == 2 && hits[1].triangle != BAKE_EXACT_NONE &&
             (hits[0].triangle == BAKE_EXACT_NONE || fabs(hits[1].t) < fabs(hits[0].t));
-        take_hit(work, task->probes[i], &work->rays[task->each * i + inner], &hits[inner]);
+        curvature_take_hit(work, task->probes[i], &work->rays[task->each * i + inner],
+                           &hits[inner]);
     }
     return 0;
 }
@@ -185,7 +187,7 @@ static int trace_missing(struct work *work, uint64_t texels, uint32_t each, doub
     uint64_t listed = 0;
     int status = 0;
     for (uint64_t i = 0; i < texels * PROBES; ++i)
-        if (!work->probes[i].found && is_valid(work, i / PROBES))
+        if (!work->probes[i].found && curvature_is_valid(work, i / PROBES))
             work->listed[listed++] = (uint32_t)i;
     for (uint64_t at = 0; at < listed; at += most) {
         const uint64_t left = listed - at;
@@ -210,7 +212,8 @@ done:
 /* Returns the normal curvature between two points. */
 static double between(const struct probe *a, const struct probe *b)
 {
-    const struct bsq_vec3 step = add(b->at, -1.0f, a->at), turn = add(b->normal, -1.0f, a->normal);
+    const struct bsq_vec3 step = curvature_add(b->at, -1.0f, a->at),
+                          turn = curvature_add(b->normal, -1.0f, a->normal);
     const double square = (double)bsq_dot3(step, step);
     return square > 0.0 ? (double)bsq_dot3(turn, step) / square : 0.0;
 }
@@ -233,14 +236,14 @@ static float curvature_of(const struct work *work, uint64_t texel)
 }
 
 /* Counts the texels with hits, and those of which no ray around the hit found the scan. */
-static void count_texels(const struct work *work, uint64_t texels)
+static void curvature_count_texels(const struct work *work, uint64_t texels)
 {
     for (uint64_t i = 0; i < texels; ++i) {
         bool found = false;
         for (uint32_t k = 0; k < PROBES; ++k)
             found |= work->probes[i * PROBES + k].found;
-        work->counts->texels += is_valid(work, i);
-        work->counts->alone += is_valid(work, i) && !found;
+        work->counts->texels += curvature_is_valid(work, i);
+        work->counts->alone += curvature_is_valid(work, i) && !found;
     }
 }
 
@@ -250,7 +253,7 @@ static int resolve_texels(void *arg, uint64_t index, unsigned worker)
     const struct work *work = arg;
     const uint64_t end = task_end(index, TEXELS_A_TASK, work->window_texels);
     for (uint64_t i = index * TEXELS_A_TASK; i < end; ++i)
-        if (is_valid(work, i))
+        if (curvature_is_valid(work, i))
             work->texels[i * work->channels + work->job->offset] = curvature_of(work, i);
     return 0;
 }
@@ -268,7 +271,7 @@ static int trace_window(struct work *work, const struct window *window)
                                    window->height, work->objects));
     BSQ_TRY(trace_missing(work, texels, 1, work->job->radius));
     BSQ_TRY(trace_missing(work, texels, 2, sqrt(2.0) * work->job->radius));
-    count_texels(work, texels);
+    curvature_count_texels(work, texels);
     BSQ_TRY(bsq_parallel_for(work->ctx, (texels + TEXELS_A_TASK - 1) / TEXELS_A_TASK,
                              resolve_texels, work));
     BSQ_TRY(bake_surface_check(work->job->surface));
@@ -304,7 +307,7 @@ static int trace_bands(struct work *work)
 
 /* Allocates what a window needs. Half of the rays that a caller should hold leave the other buffers
  * enough of the budget. */
-static int allocate(struct work *work)
+static int curvature_allocate(struct work *work)
 {
     const struct bake_image *image = work->job->image;
     const uint64_t width = image->width, all = width * image->height;
@@ -334,7 +337,7 @@ int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *job,
     bsq_progress_begin(ctx, "measuring curvature", "texels",
                        (uint64_t)job->image->width * job->image->height);
     int status = 0;
-    BSQ_TRY(allocate(&work));
+    BSQ_TRY(curvature_allocate(&work));
     BSQ_TRY(trace_bands(&work));
 done:
     bsq_progress_end(ctx);

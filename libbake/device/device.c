@@ -39,7 +39,7 @@ struct bake_device {
 enum { ANY_DEVICE = -1 };
 
 /* Parses "KIND", or "KIND:N" if the kind numbers its devices. */
-static bool parse(const char *name, const struct bake_device_kind *kind, int64_t *index)
+static bool device_parse(const char *name, const struct bake_device_kind *kind, int64_t *index)
 {
     const size_t length = strlen(kind->name);
     char *end;
@@ -63,7 +63,7 @@ static bool parse(const char *name, const struct bake_device_kind *kind, int64_t
 static const struct bake_device_kind *find_kind(const char *name, int64_t *index)
 {
     for (int i = 0; i < KINDS; i++)
-        if (parse(name, kinds[i], index))
+        if (device_parse(name, kinds[i], index))
             return kinds[i];
     return NULL;
 }
@@ -94,7 +94,7 @@ static int check_space(struct bsq_ctx *ctx, const struct bake_backend *backend,
 }
 
 /* Builds the tree that a device needs for rays from hits. Fails with BSQ_RETRY if there is none. */
-static int make_tree(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_tree *tree)
+static int device_make_tree(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_tree *tree)
 {
     int status = bake_tree_build(ctx, job->grid, bsq_memory_left(ctx), tree);
     if (status == 0 && !tree->nodes && job->grid->leaf_count > 0)
@@ -107,7 +107,8 @@ static int make_tree(struct bsq_ctx *ctx, const struct bake_job *job, struct bak
 }
 
 /* Copies the grid to a device with memory of its own. */
-static int load_grid(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_backend *backend)
+static int device_load_grid(struct bsq_ctx *ctx, const struct bake_job *job,
+                            struct bake_backend *backend)
 {
     char why[BAKE_WHY_BYTES] = "";
     struct bake_tree tree = {0};
@@ -116,7 +117,7 @@ static int load_grid(struct bsq_ctx *ctx, const struct bake_job *job, struct bak
     if (!backend->load)
         return 0;
     if (bake_ray_count(&job->params) > 0)
-        BSQ_TRY(make_tree(ctx, job, &tree));
+        BSQ_TRY(device_make_tree(ctx, job, &tree));
     bake_list_arrays(job, &tree, &grid);
     BSQ_TRY(check_space(ctx, backend, &grid));
     status = backend->load(backend, &grid, why);
@@ -134,7 +135,7 @@ static int open_loaded(struct bake_device *device, const struct bake_device_kind
 {
     int status = kind->open(device->ctx, number, device->job, &device->backend);
     if (status == 0)
-        status = load_grid(device->ctx, device->job, device->backend);
+        status = device_load_grid(device->ctx, device->job, device->backend);
     if (status < 0 && device->backend) {
         device->backend->close(device->backend);
         device->backend = NULL;
@@ -181,7 +182,7 @@ static int list_or_warn(struct bsq_ctx *ctx, const struct bake_device_kind *kind
 static uint32_t number_of(const struct bake_device_kind *kind, const struct bake_device_info *info)
 {
     int64_t number;
-    return parse(info->id, kind, &number) && number != ANY_DEVICE ? (uint32_t)number : 0;
+    return device_parse(info->id, kind, &number) && number != ANY_DEVICE ? (uint32_t)number : 0;
 }
 
 /* Opens the first GPU of a kind that works and holds the grid; there may be none. */
@@ -217,8 +218,8 @@ static int open_any(struct bake_device *device)
 
 /* Finds the device with a number in a list, or the one to prefer for ANY_DEVICE: a GPU if there is
  * one. The error lists the devices that exist. */
-static int choose(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
-                  const struct bake_device_list *list, int64_t wanted, uint32_t *out)
+static int device_choose(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
+                         const struct bake_device_list *list, int64_t wanted, uint32_t *out)
 {
     const struct bake_device_info *best = NULL;
     char there[400] = "";
@@ -250,7 +251,7 @@ static int open_named(struct bake_device *device, const char *name)
     if (!kind)
         return bsq_fail(device->ctx, BSQ_EUSAGE, "device \"%s\" is not " BAKE_DEVICE_NAMES, name);
     BSQ_TRY(list_kind(device->ctx, kind, &list));
-    BSQ_TRY(choose(device->ctx, kind, &list, wanted, &number));
+    BSQ_TRY(device_choose(device->ctx, kind, &list, wanted, &number));
     status = open_loaded(device, kind, number);
     if (status == BSQ_RETRY) {
         bsq_warn(device->ctx, "%s: the processor bakes it", bsq_error(device->ctx));

@@ -25,7 +25,7 @@ done:
     return status;
 }
 
-static int open_file(struct bake_exact *exact)
+static int exact_open_file(struct bake_exact *exact)
 {
     int status = fmt_tris_open_parts(exact->ctx, exact->options.paths, exact->options.path_count,
                                      NULL, &exact->file);
@@ -57,7 +57,7 @@ int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *option
     exact->options = *options;
     status = bsq_calloc(ctx, "scan", 1, sizeof *exact->loads, &exact->loads);
     if (status == 0)
-        status = open_file(exact);
+        status = exact_open_file(exact);
     if (status < 0)
         bake_exact_close(exact);
     else

@@ -91,8 +91,8 @@ static struct exact_box box_of_rays(const struct bake_exact_batch *batch, uint64
 
 /* Finds the chunks of the batch that rays [begin, end) may cross, and gathers their boxes by
  * eights. Returns their count. */
-static uint32_t find_candidates(const struct sorting *s, uint64_t begin, uint64_t end,
-                                const struct worker *worker)
+static uint32_t buckets_find_candidates(const struct sorting *s, uint64_t begin, uint64_t end,
+                                        const struct worker *worker)
 {
     struct exact_box *box =
         &s->buckets->around[(begin / BAKE_EXACT_BUNDLE - s->first) / EXACT_SORTED];
@@ -177,8 +177,8 @@ static int sort_segment(void *arg, uint64_t segment, unsigned number)
     int status = 0;
     for (; begin < end && (status = bsq_check(s->exact->ctx)) == 0; begin += EXACT_SORTED) {
         uint64_t stop = begin + EXACT_SORTED < end ? begin + EXACT_SORTED : end;
-        uint32_t candidates = find_candidates(s, (s->first + begin) * BAKE_EXACT_BUNDLE,
-                                              rays_end(s, s->first + stop), &worker);
+        uint32_t candidates = buckets_find_candidates(s, (s->first + begin) * BAKE_EXACT_BUNDLE,
+                                                      rays_end(s, s->first + stop), &worker);
         for (uint64_t b = begin; candidates > 0 && b < stop; b++)
             sort_bundle(s, s->first + b, candidates, &worker, counts);
     }

@@ -44,7 +44,7 @@ void bake_exact_kept_free(struct bsq_ctx *ctx, struct exact_kept *kept)
     bsq_free(ctx, kept->memory);
 }
 
-static struct exact_kept_entry *find(const struct exact_kept *kept, uint32_t number)
+static struct exact_kept_entry *kept_find(const struct exact_kept *kept, uint32_t number)
 {
     struct exact_kept_entry *entry = kept->count ? &kept->entries[kept->entry_of[number]] : NULL;
     return entry && entry->number == number && (entry->used || entry->needed) ? entry : NULL;
@@ -52,7 +52,7 @@ static struct exact_kept_entry *find(const struct exact_kept *kept, uint32_t num
 
 const struct exact_chunk *bake_exact_kept_find(const struct exact_kept *kept, uint32_t number)
 {
-    const struct exact_kept_entry *entry = find(kept, number);
+    const struct exact_kept_entry *entry = kept_find(kept, number);
     return entry ? &entry->chunk : NULL;
 }
 
@@ -68,7 +68,7 @@ static void exchange(struct exact_kept_entry *entry, struct exact_slot *slot)
 
 bool bake_exact_kept_take(const struct exact_kept *kept, struct exact_slot *slot)
 {
-    struct exact_kept_entry *entry = find(kept, slot->number);
+    struct exact_kept_entry *entry = kept_find(kept, slot->number);
     if (entry) {
         exchange(entry, slot);
         entry->used = false;
@@ -108,9 +108,9 @@ static struct exact_kept_entry *latest(const struct exact_kept *kept)
 }
 
 /* Keeps a chunk for the wave, if there is an entry for it. Returns whether it has to be loaded. */
-static bool reserve(struct exact_kept *kept, uint32_t number)
+static bool kept_reserve(struct exact_kept *kept, uint32_t number)
 {
-    struct exact_kept_entry *entry = find(kept, number);
+    struct exact_kept_entry *entry = kept_find(kept, number);
     const bool load = !entry;
     if (load)
         entry = latest(kept);
@@ -153,7 +153,7 @@ int bake_exact_kept_load(struct exact_kept *kept, const struct exact_slots *wave
     for (uint32_t s = 0; s < used; s++)
         for (uint32_t i = 0; i < wave->slots[s].near_count; i++)
             if (!in_wave(wave, used, wave->slots[s].near[i]))
-                load |= reserve(kept, wave->slots[s].near[i]);
+                load |= kept_reserve(kept, wave->slots[s].near[i]);
     return load ? bsq_parallel_for(kept->exact->ctx, kept->count, load_entry, kept) : 0;
 }
 

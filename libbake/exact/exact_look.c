@@ -89,7 +89,7 @@ static void trace_nearest(const struct pass *pass, const struct bake_viewpoint *
 }
 
 /* Spreads the progress of the viewpoints evenly over blocks and groups. */
-static void add_progress(const struct pass *pass, uint64_t begin, uint64_t end)
+static void look_add_progress(const struct pass *pass, uint64_t begin, uint64_t end)
 {
     const double each =
         (double)pass->viewpoints->progress / (double)pass->viewpoints->count / (double)pass->steps;
@@ -117,7 +117,7 @@ static int trace_block(void *arg, uint64_t index, unsigned worker)
         trace_nearest(pass, &viewpoint, false, states->solids,
                       bake_ray_distances(states, i, false));
     }
-    add_progress(pass, begin, end);
+    look_add_progress(pass, begin, end);
     return 0;
 }
 
@@ -163,7 +163,7 @@ static int load_slot(void *arg, uint64_t index, unsigned worker)
 }
 
 /* Loads chunks into slots 0 to count - 1, and builds the tree over them. */
-static int load_group(struct bake_exact_look *look, const uint32_t *chunks, uint32_t count)
+static int look_load_group(struct bake_exact_look *look, const uint32_t *chunks, uint32_t count)
 {
     for (uint32_t s = 0; s < count; s++)
         look->memory.slots[s].number = chunks[s];
@@ -194,7 +194,7 @@ int bake_exact_look_from(struct bake_exact_look *look, const struct bake_viewpoi
     for (uint32_t c = 0; c < count; c += slots, pass.step++) {
         const uint32_t loaded = count - c < slots ? count - c : slots;
         if (!look->whole || look->loaded == 0)
-            BSQ_TRY(load_group(look, look->reached + c, loaded));
+            BSQ_TRY(look_load_group(look, look->reached + c, loaded));
         BSQ_TRY(bsq_parallel_for(look->exact->ctx, (viewpoints->count + BLOCK - 1) / BLOCK,
                                  trace_block, &pass));
     }
@@ -215,7 +215,7 @@ float bake_exact_lift(const struct bake_exact *exact)
     return (float)(most * 0x1p-22);
 }
 
-static int allocate(struct bake_exact_look *look)
+static int look_allocate(struct bake_exact_look *look)
 {
     struct bsq_ctx *ctx = look->exact->ctx;
     int status = 0;
@@ -241,7 +241,7 @@ int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *par
         return status;
     look->exact = exact;
     look->params = params;
-    status = allocate(look);
+    status = look_allocate(look);
     look->group = (struct exact_group){.exact = exact, .slots = look->memory.slots};
     look->whole = look->memory.count == exact->chunk_count;
     if (status < 0)

@@ -17,8 +17,8 @@ struct place {
     double cross[3];   /* product of the edges: twice the area vector */
 };
 
-static void set_place(struct place *place, const struct exact_slot *slot, uint32_t triangle,
-                      const struct bake_exact_hit *hit)
+static void shade_set_place(struct place *place, const struct exact_slot *slot, uint32_t triangle,
+                            const struct bake_exact_hit *hit)
 {
     const struct fmt_tris_chunk *chunk = &slot->chunk.tris;
     place->slot = slot;
@@ -98,10 +98,10 @@ static void shade_normal(const struct bake_exact *exact, const struct place *pla
 
 /* Adds the scan's normal map to a unit normal. Not inlined: GCC 12 would join the conversions of
  * two of the normal's numbers to float, in shade_normal(), and back, without rounding them. */
-static __attribute__((noinline)) int add_normal_map(const struct bake_exact *exact,
-                                                    const struct place *place,
-                                                    const struct fmt_shading_footprint *at,
-                                                    float normal[3])
+static __attribute__((noinline)) int shade_add_normal_map(const struct bake_exact *exact,
+                                                          const struct place *place,
+                                                          const struct fmt_shading_footprint *at,
+                                                          float normal[3])
 {
     const float(*texcoords)[2] = place->slot->chunk.tris.texcoords;
     double n[3] = {(double)normal[0], (double)normal[1], (double)normal[2]}, uv[2][2];
@@ -232,13 +232,13 @@ int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *sl
     struct bake_exact_hit *hit = &batch->hits[ray];
     struct place place;
     int status = 0;
-    set_place(&place, slot, (uint32_t)(hit->triangle - exact->chunks[slot->number].first_triangle),
-              hit);
+    shade_set_place(&place, slot,
+                    (uint32_t)(hit->triangle - exact->chunks[slot->number].first_triangle), hit);
     shade_normal(exact, &place, hit->normal);
     const struct fmt_shading_footprint at = texture_footprint(exact, &place, batch, ray);
     if (slot->chunk.tris.texcoords &&
         fmt_shading_is_textured(shading, FMT_SHADING_NORMAL_MAP, at.material))
-        BSQ_TRY(add_normal_map(exact, &place, &at, hit->normal));
+        BSQ_TRY(shade_add_normal_map(exact, &place, &at, hit->normal));
     set_side(exact, &place, batch, ray);
     for (int k = 0; hit->reversed && k < 3; k++)
         hit->normal[k] = -hit->normal[k];

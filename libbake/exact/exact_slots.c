@@ -169,7 +169,8 @@ void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots)
 /* ---- chunks ---- */
 
 /* Returns the bounds of some triangles. */
-static struct exact_box bounds_of(const struct fmt_tris_chunk *chunk, uint32_t begin, uint32_t end)
+static struct exact_box slots_bounds_of(const struct fmt_tris_chunk *chunk, uint32_t begin,
+                                        uint32_t end)
 {
     four_floats least, most, low, high;
     struct exact_box box;
@@ -185,11 +186,12 @@ static struct exact_box bounds_of(const struct fmt_tris_chunk *chunk, uint32_t b
 }
 
 /* Writes the bounds of each `step` triangles of a chunk. */
-static void set_bounds(const struct fmt_tris_chunk *chunk, uint32_t step, struct exact_box *out)
+static void slots_set_bounds(const struct fmt_tris_chunk *chunk, uint32_t step,
+                             struct exact_box *out)
 {
     const uint32_t count = chunk->triangle_count;
     for (uint32_t t = 0; t < count; t += step)
-        *out++ = bounds_of(chunk, t, count - t < step ? count : t + step);
+        *out++ = slots_bounds_of(chunk, t, count - t < step ? count : t + step);
 }
 
 void bake_exact_set_groups(const struct bake_exact *exact, void *memory, struct exact_chunk *chunk)
@@ -197,7 +199,7 @@ void bake_exact_set_groups(const struct bake_exact *exact, void *memory, struct 
     if (chunk->groups)
         return;
     chunk->groups = (struct exact_box *)(void *)((char *)memory + tris_bytes(exact));
-    set_bounds(&chunk->tris, EXACT_GROUP, chunk->groups);
+    slots_set_bounds(&chunk->tris, EXACT_GROUP, chunk->groups);
 }
 
 int bake_exact_load(const struct bake_exact *exact, uint32_t number, void *memory,
@@ -212,7 +214,7 @@ int bake_exact_load(const struct bake_exact *exact, uint32_t number, void *memor
 static void build_tree(struct exact_slot *slot, const struct exact_scratch *scratch)
 {
     const struct fmt_tris_chunk *chunk = &slot->chunk.tris;
-    set_bounds(chunk, EXACT_RUN, scratch->boxes);
+    slots_set_bounds(chunk, EXACT_RUN, scratch->boxes);
     bake_exact_tree_build(&slot->tree, exact_runs(chunk->triangle_count), scratch->boxes,
                           slot->tree_memory);
     for (uint32_t r = 0; slot->runs && r < exact_runs(chunk->triangle_count); r++)

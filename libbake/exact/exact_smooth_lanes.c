@@ -21,7 +21,8 @@ enum { UNKNOWN_BYTE = 0xff };
 enum step { STEP_SUM, STEP_FARTHEST, STEP_SIDES };
 
 /* Returns the entry of a position, or 0. */
-static inline uint32_t find_entry(const struct exact_smooth *s, const float position[3])
+static inline uint32_t exact_smooth_find_entry(const struct exact_smooth *s,
+                                               const float position[3])
 {
     const uint32_t hash = bsq_position_hash(position);
     const uint64_t bits = exact_filter_bits(hash);
@@ -31,9 +32,10 @@ static inline uint32_t find_entry(const struct exact_smooth *s, const float posi
 }
 
 /* Does a step for triangles of a chunk. map: the entries of its vertices. */
-static void add_chunk(const struct exact_smooth *s, enum step step, enum bsq_scan_normals weights,
-                      const struct fmt_tris_chunk *chunk, uint32_t begin, uint32_t end,
-                      const uint32_t *map)
+static void exact_smooth_add_chunk(const struct exact_smooth *s, enum step step,
+                                   enum bsq_scan_normals weights,
+                                   const struct fmt_tris_chunk *chunk, uint32_t begin, uint32_t end,
+                                   const uint32_t *map)
 {
     if (step == STEP_SUM)
         bsq_add_one_rings(chunk->positions, chunk->triangles, begin, end, map, weights, PARTS,
@@ -52,7 +54,7 @@ static bool is_needed(const struct exact_smooth *s, enum step step, uint32_t i)
     return step == STEP_SUM || s->crease_of[i + 1] != 0;
 }
 
-static bool overlap(const struct exact_box *a, const struct exact_box *b)
+static bool exact_smooth_overlap(const struct exact_box *a, const struct exact_box *b)
 {
     bool both = true;
     for (int k = 0; k < 3; k++)
@@ -66,7 +68,7 @@ static bool overlaps_any(const struct exact_box *box, const struct exact_box *ot
 {
     bool any = false;
     for (uint32_t i = 0; i < count && !any; i++)
-        any = overlap(box, &others[i]);
+        any = exact_smooth_overlap(box, &others[i]);
     return any;
 }
 
@@ -97,7 +99,7 @@ static uint32_t find_shared(const struct exact_smooth *s, enum step step,
     exact_box_grow(&box, chunk->bounds_min, chunk->bounds_max);
     for (uint32_t g = 0; g < exact_groups(s->count); g++) {
         const uint32_t first = g * EXACT_GROUP, left = s->count - first;
-        if (!overlap(&box, &s->groups[g]))
+        if (!exact_smooth_overlap(&box, &s->groups[g]))
             continue;
         const uint32_t found =
             bsq_positions_inside(box.low, box.high, (const float(*)[3])s->positions + first,
@@ -169,7 +171,7 @@ static void match_corners(const struct exact_smooth *s, const struct fmt_tris_ch
         bool in = true;
         for (int k = 0; k < 3; k++)
             in &= (p[k] >= box->low[k]) & (p[k] <= box->high[k]);
-        map[v] = in ? find_entry(s, p) : 0;
+        map[v] = in ? exact_smooth_find_entry(s, p) : 0;
     }
 }
 
@@ -193,10 +195,10 @@ static int add_neighbour(const struct exact_summing *of, enum step step, uint32_
     for (uint32_t begin = 0; begin < count; begin += EXACT_GROUP) {
         const uint32_t end = count - begin < EXACT_GROUP ? count : begin + EXACT_GROUP;
         const struct exact_box *group = &near.groups[begin / EXACT_GROUP];
-        if (!overlap(&box, group) || !overlaps_any(group, s->shared, shared))
+        if (!exact_smooth_overlap(&box, group) || !overlaps_any(group, s->shared, shared))
             continue;
         match_corners(s, &near.tris, begin, end, &box, map);
-        add_chunk(s, step, of->exact->options.normals, &near.tris, begin, end, map);
+        exact_smooth_add_chunk(s, step, of->exact->options.normals, &near.tris, begin, end, map);
     }
     return 0;
 }
@@ -206,12 +208,12 @@ static void match_own(const struct exact_smooth *s, const struct fmt_tris_chunk 
 {
     for (uint32_t v = 0; v < own->vertex_count; v++)
         if (s->entry_of[v] == 0)
-            s->entry_of[v] = find_entry(s, own->positions[v]);
+            s->entry_of[v] = exact_smooth_find_entry(s, own->positions[v]);
 }
 
 /* Does a step for the triangles of all chunks near the needed vertices, in the order of the file.
  */
-static int run_step(const struct exact_summing *of, enum step step)
+static int exact_smooth_run_step(const struct exact_summing *of, enum step step)
 {
     const struct exact_slot *slot = of->slot;
     const struct exact_smooth *s = &slot->smooth;
@@ -224,7 +226,8 @@ static int run_step(const struct exact_summing *of, enum step step)
         }
         if (step == STEP_SUM)
             match_own(s, own);
-        add_chunk(s, step, of->exact->options.normals, own, 0, own->triangle_count, s->entry_of);
+        exact_smooth_add_chunk(s, step, of->exact->options.normals, own, 0, own->triangle_count,
+                               s->entry_of);
     }
     return status;
 }
@@ -243,7 +246,7 @@ static bool begin_creases(const struct exact_smooth *s)
 }
 
 /* Divides one-rings. Returns whether there are any. */
-static bool divide_rings(const struct exact_smooth *s)
+static bool exact_smooth_divide_rings(const struct exact_smooth *s)
 {
     bool any = false;
     for (uint32_t i = 1; i <= s->count; i++) {
@@ -258,12 +261,12 @@ static bool divide_rings(const struct exact_smooth *s)
 int BSQ_SIMD_NAME(bake_exact_smooth_sum)(const struct exact_summing *of)
 {
     const struct exact_smooth *s = &of->slot->smooth;
-    int status = run_step(of, STEP_SUM);
+    int status = exact_smooth_run_step(of, STEP_SUM);
     if (status == 0 && begin_creases(s))
-        status = run_step(of, STEP_FARTHEST);
+        status = exact_smooth_run_step(of, STEP_FARTHEST);
     else
         return status;
-    if (status == 0 && divide_rings(s))
-        status = run_step(of, STEP_SIDES);
+    if (status == 0 && exact_smooth_divide_rings(s))
+        status = exact_smooth_run_step(of, STEP_SIDES);
     return status;
 }

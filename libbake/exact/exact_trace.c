@@ -139,7 +139,7 @@ static void get_bundle(const struct bake_exact_batch *batch, uint64_t first, str
 }
 
 /* Takes a hit of a ray, unless another chunk has found a better one meanwhile. */
-static void take_hit(struct bake_exact_hit *hit, const struct exact_best *best)
+static void trace_take_hit(struct bake_exact_hit *hit, const struct exact_best *best)
 {
     if (hit->triangle != BAKE_EXACT_NONE &&
         !exact_wins(best->t, best->triangle, hit->t, hit->triangle, best->reach))
@@ -151,7 +151,7 @@ static void take_hit(struct bake_exact_hit *hit, const struct exact_best *best)
 }
 
 /* Traces the bundle of an entry of the buckets through the chunk of a slot. */
-static void trace_bundle(struct wave *wave, const struct exact_slot *slot, uint64_t entry)
+static void trace_trace_bundle(struct wave *wave, const struct exact_slot *slot, uint64_t entry)
 {
     const uint32_t number = wave->buckets->bundles[entry];
     const uint64_t first = (uint64_t)number * BAKE_EXACT_BUNDLE;
@@ -170,7 +170,7 @@ static void trace_bundle(struct wave *wave, const struct exact_slot *slot, uint6
         pthread_mutex_lock(lock);
         for (; improved; improved &= improved - 1) {
             const unsigned i = (unsigned)__builtin_ctz(improved), ray = bundle.numbers[i];
-            take_hit(&wave->batch->hits[first + ray], &bundle.best[i]);
+            trace_take_hit(&wave->batch->hits[first + ray], &bundle.best[i]);
             found |= 1u << ray;
         }
         pthread_mutex_unlock(lock);
@@ -179,7 +179,7 @@ static void trace_bundle(struct wave *wave, const struct exact_slot *slot, uint6
 }
 
 /* Spreads the progress of the batch evenly over the entries of the buckets in the first pass. */
-static void add_progress(const struct wave *wave, const struct block *block)
+static void trace_add_progress(const struct wave *wave, const struct block *block)
 {
     const struct bake_exact_batch *batch = wave->batch;
     const double pairs = (double)wave->buckets->starts[wave->exact->chunk_count];
@@ -204,8 +204,8 @@ static int run_block(void *arg, uint64_t index, unsigned worker)
     if (wave->shading)
         return each_hit(wave, slot, block->begin, block->end, shade_hit);
     for (uint64_t i = block->begin; i < block->end; i++)
-        trace_bundle(wave, slot, i);
-    add_progress(wave, block);
+        trace_trace_bundle(wave, slot, i);
+    trace_add_progress(wave, block);
     return 0;
 }
 
@@ -333,7 +333,7 @@ static int allocate_chunks(const struct wave *wave)
     return status;
 }
 
-static int allocate(struct wave *wave, struct exact_buckets *buckets)
+static int trace_allocate(struct wave *wave, struct exact_buckets *buckets)
 {
     /* The batches of a sweep all take as much memory: the chunks that are kept take the rest. */
     const uint64_t rays = wave->batch->sweep ? wave->memory->most_rays : wave->batch->count;
@@ -400,7 +400,7 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *ba
     int status = 0;
     if (batch->count == 0)
         return 0;
-    BSQ_TRY(allocate(&wave, &buckets));
+    BSQ_TRY(trace_allocate(&wave, &buckets));
     BSQ_TRY(bsq_parallel_for(ctx, (batch->count - batch->continued + CLEARED - 1) / CLEARED,
                              clear_hits, (void *)(uintptr_t)batch));
     for (uint64_t done = 0; done < exact_bundles(batch->count);)

@@ -84,7 +84,7 @@ void bake_exact_tree_build(struct exact_tree *tree, uint32_t count, struct exact
 
 /* ---- search ---- */
 
-static unsigned overlaps(const struct exact_box8 *boxes, const struct exact_box *box)
+static unsigned exact_overlaps(const struct exact_box8 *boxes, const struct exact_box *box)
 {
     unsigned bits = 0;
     for (unsigned c = 0; c < 8; c++) {
@@ -113,7 +113,7 @@ each_overlapping(const struct exact_tree *tree, const struct exact_box *box,
     }
     while (depth > 0) {
         const uint32_t level = stack[--depth].level, node = stack[depth].node;
-        unsigned bits = overlaps(&tree->nodes[tree->first[level] + node], box);
+        unsigned bits = exact_overlaps(&tree->nodes[tree->first[level] + node], box);
         for (; bits; bits &= bits - 1) {
             uint32_t child = 8 * node + (uint32_t)__builtin_ctz(bits);
             if (level == 0) {

@@ -58,7 +58,7 @@ static struct range range_of(const struct exact_best *best, const struct exact_l
 }
 
 /* Tests a triangle, and takes its hit if that wins. */
-static void try_triangle(struct trace *trace, uint32_t triangle)
+static void walk_try_triangle(struct trace *trace, uint32_t triangle)
 {
     const struct fmt_tris_chunk *chunk = &trace->slot->chunk.tris;
     const struct exact_limits *limits = trace->limits;
@@ -95,7 +95,7 @@ static inline void try_boxes(struct trace *trace, uint32_t run, const struct exa
     unsigned bits =
         exact_line_crosses(&trace->line, boxes, trace->range.span, trace->range.reach, &distances);
     for (; bits && !trace->done; bits &= bits - 1)
-        try_triangle(trace, EXACT_RUN * run + (unsigned)__builtin_ctz(bits));
+        walk_try_triangle(trace, EXACT_RUN * run + (unsigned)__builtin_ctz(bits));
 }
 
 static void try_run(struct trace *trace, uint32_t run)
@@ -134,8 +134,8 @@ static uint32_t push_children(struct entry *stack, uint32_t depth, uint32_t leve
 /* Calls `visit` for the boxes of a tree that the ray crosses where a hit would win, near ones
  * first.
  */
-static inline void walk_tree(struct trace *trace, const struct exact_tree *tree,
-                             void (*visit)(struct trace *trace, uint32_t box))
+static inline void walk_walk_tree(struct trace *trace, const struct exact_tree *tree,
+                                  void (*visit)(struct trace *trace, uint32_t box))
 {
     struct entry stack[EXACT_TREE_STACK];
     eights crossed;
@@ -168,7 +168,7 @@ static void walk_slot(struct trace *trace, const struct exact_slot *slot, uint64
 {
     trace->slot = slot;
     trace->first = first;
-    walk_tree(trace, &slot->tree, try_run);
+    walk_walk_tree(trace, &slot->tree, try_run);
 }
 
 static void visit_slot(struct trace *trace, uint32_t number)
@@ -292,8 +292,8 @@ static inline unsigned beam_crosses(const struct beam *beam, const struct exact_
 }
 
 /* Adds the children of a leaf node. Returns false if they do not fit. */
-static bool add_runs(struct runs *runs, const struct fmt_tris_chunk *chunk,
-                     const struct exact_box8 *boxes, uint32_t first, unsigned bits)
+static bool walk_add_runs(struct runs *runs, const struct fmt_tris_chunk *chunk,
+                          const struct exact_box8 *boxes, uint32_t first, unsigned bits)
 {
     if (runs->count + (unsigned)__builtin_popcount(bits) > MOST_RUNS)
         return false;
@@ -325,7 +325,7 @@ static void find_runs(const struct exact_slot *slot, const struct beam *beam, st
         const struct exact_box8 *boxes = &tree->nodes[tree->first[top.level] + top.node];
         unsigned bits = beam_crosses(beam, boxes);
         if (top.level == 0) {
-            if (add_runs(runs, &slot->chunk.tris, boxes, 8 * top.node, bits))
+            if (walk_add_runs(runs, &slot->chunk.tris, boxes, 8 * top.node, bits))
                 continue;
             runs->count = MOST_RUNS + 1;
             return;
@@ -413,7 +413,7 @@ bool BSQ_SIMD_NAME(bake_exact_group_trace)(const struct exact_group *group,
                           .group = group};
     if (!exact_line_set(&trace.line, ray->origin, ray->direction))
         return false;
-    walk_tree(&trace, &group->tree, visit_slot);
+    walk_walk_tree(&trace, &group->tree, visit_slot);
     return trace.improved;
 }
 

@@ -49,7 +49,7 @@ struct work {
     uint64_t capacity;
 };
 
-static bool is_valid(const float *texel)
+static bool filter_is_valid(const float *texel)
 {
     return texel[0] > 0.0f;
 }
@@ -62,7 +62,7 @@ static int widen_bounds(void *arg, uint32_t first_row, uint32_t rows, float *tex
     const float *end = texels + (size_t)rows * work->width * work->channels;
     (void)first_row;
     for (const float *texel = texels; texel < end; texel += work->channels)
-        for (int k = 0; k < 3 && is_valid(texel); k++) {
+        for (int k = 0; k < 3 && filter_is_valid(texel); k++) {
             work->low[k] = fminf(work->low[k], texel[work->filter->guide + (uint32_t)k]);
             work->high[k] = fmaxf(work->high[k], texel[work->filter->guide + (uint32_t)k]);
         }
@@ -79,7 +79,7 @@ static uint32_t layer_of(const struct work *work, const float *texel)
     return cell_along(work, texel + work->filter->guide, work->axis);
 }
 
-static uint64_t cell_of(const struct work *work, const float *guide)
+static uint64_t filter_cell_of(const struct work *work, const float *guide)
 {
     const uint32_t row = cell_along(work, guide, (work->axis + 1) % 3);
     return (uint64_t)row << 32 | cell_along(work, guide, (work->axis + 2) % 3);
@@ -91,7 +91,7 @@ static int count_layers(void *arg, uint32_t first_row, uint32_t rows, float *tex
     const float *end = texels + (size_t)rows * work->width * work->channels;
     (void)first_row;
     for (const float *texel = texels; texel < end; texel += work->channels)
-        if (is_valid(texel))
+        if (filter_is_valid(texel))
             work->ends[layer_of(work, texel)]++;
     return bsq_check(work->ctx);
 }
@@ -135,13 +135,13 @@ static uint64_t before(const struct work *work, uint32_t layer)
 
 static bool is_in_window(const struct work *work, const float *texel, uint32_t *layer)
 {
-    if (!is_valid(texel))
+    if (!filter_is_valid(texel))
         return false;
     *layer = layer_of(work, texel);
     return *layer >= work->begin && *layer < work->end;
 }
 
-static void begin_reading(struct work *work)
+static void filter_begin_reading(struct work *work)
 {
     for (uint32_t i = work->begin; i < work->end; i++)
         work->next[i] = before(work, i) - before(work, work->begin);
@@ -161,7 +161,7 @@ static int take_points(void *arg, uint32_t first_row, uint32_t rows, float *texe
         *point =
             (struct point){.at = bsq_v3(guide[0], guide[1], guide[2]),
                            .normal = bsq_v3(guide[NORMAL], guide[NORMAL + 1], guide[NORMAL + 2]),
-                           .cell = cell_of(work, guide)};
+                           .cell = filter_cell_of(work, guide)};
         for (uint32_t i = 0; i < work->filter->count; i++)
             point->values[i] = texel[work->filter->offsets[i]];
         work->sorted[work->next[layer]++] = point;
@@ -193,7 +193,7 @@ static int take_results(void *arg, uint32_t first_row, uint32_t rows, float *tex
     const float *end = texels + (size_t)rows * work->width * work->channels;
     (void)first_row;
     for (float *texel = texels; texel < end; texel += work->channels)
-        for (uint32_t i = 0; i < work->filter->count && is_valid(texel); i++)
+        for (uint32_t i = 0; i < work->filter->count && filter_is_valid(texel); i++)
             texel[work->filter->offsets[i]] = texel[work->filter->guide + RESULT + i];
     return bsq_check(work->ctx);
 }
@@ -236,8 +236,8 @@ static float sharpen(float x)
     return x;
 }
 
-static void add_run(const struct work *work, const struct point *to, uint64_t row, uint64_t column,
-                    struct run *run, struct sums *sums)
+static void filter_add_run(const struct work *work, const struct point *to, uint64_t row,
+                           uint64_t column, struct run *run, struct sums *sums)
 {
     const uint64_t first = row << 32 | (column > 0 ? column - 1 : 0),
                    last = row << 32 | (column + 1);
@@ -280,7 +280,7 @@ static int filter_layer(void *arg, uint64_t index, unsigned worker)
         struct sums sums = {0};
         for (uint32_t l = 0; l < 3; l++)
             for (uint64_t r = row > 0 ? 0 : 1; r < 3; r++)
-                add_run(work, to, row + r - 1, column, &runs[l][r], &sums);
+                filter_add_run(work, to, row + r - 1, column, &runs[l][r], &sums);
         for (uint32_t k = 0; k < MOST_VALUES; k++)
             to->results[k] =
                 sums.weight > 0 ? (float)(sums.values[k] / sums.weight) : to->values[k];
@@ -325,11 +325,11 @@ static int filter_window(struct work *work)
 {
     struct bake_image *image = work->filter->image;
     int status;
-    begin_reading(work);
+    filter_begin_reading(work);
     BSQ_TRY(bake_image_bands(work->ctx, image, BAND_ROWS, false, take_points, work));
     BSQ_TRY(bsq_parallel_for(work->ctx, work->end - work->begin, sort_layer, work));
     BSQ_TRY(bsq_parallel_for(work->ctx, work->last - work->first, filter_layer, work));
-    begin_reading(work);
+    filter_begin_reading(work);
     BSQ_TRY(bake_image_bands(work->ctx, image, BAND_ROWS, true, put_results, work));
 done:
     return status;

@@ -177,7 +177,7 @@ static int judge_openness(struct fit *fit)
     return status;
 }
 
-static int allocate(struct fit *fit)
+static int fit_allocate(struct fit *fit)
 {
     struct bsq_ctx *ctx = fit->surface->ctx;
     int status;
@@ -227,7 +227,7 @@ int bake_fit(const struct bake_surface *surface, const struct bake_lowmesh *mesh
     *back = options->back;
     if (!measured && options->as_is)
         return 0;
-    BSQ_TRY(allocate(&fit));
+    BSQ_TRY(fit_allocate(&fit));
     bake_fit_spread(&fit);
     BSQ_TRY(trace_probes(&fit));
     if (measured) {

@@ -23,7 +23,8 @@ enum { MOST_POSES = 160, TURNS = 24 };
 /* ---- poses ---- */
 
 /* Finds the bounds of the mesh in a pose. */
-static void bounds_of(const struct fit *fit, const struct pose *pose, double low[3], double high[3])
+static void judge_bounds_of(const struct fit *fit, const struct pose *pose, double low[3],
+                            double high[3])
 {
     for (int corner = 0; corner < 8; ++corner) {
         double p[3];
@@ -43,7 +44,7 @@ static double bounds_differ(const struct fit *fit, const struct pose *pose, bool
 {
     const struct bake_surface *scan = fit->surface;
     double low[3], high[3], most = 0;
-    bounds_of(fit, pose, low, high);
+    judge_bounds_of(fit, pose, low, high);
     for (int k = 0; k < 3; ++k) {
         const double below = scan->scan_min[k] - low[k], above = high[k] - scan->scan_max[k];
         most = fmax(most, inside ? below : fabs(below));
@@ -58,7 +59,7 @@ static double centre(const struct fit *fit, struct pose *pose)
 {
     const struct bake_surface *scan = fit->surface;
     double low[3], high[3], square = 0;
-    bounds_of(fit, pose, low, high);
+    judge_bounds_of(fit, pose, low, high);
     for (int k = 0; k < 3; ++k) {
         const double way = 0.5 * (scan->scan_min[k] + scan->scan_max[k]) - 0.5 * (low[k] + high[k]);
         pose->transform.shift[k] += way;

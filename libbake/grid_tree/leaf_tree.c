@@ -89,8 +89,9 @@ typedef int node_visit(void *arg, uint32_t lower, const int32_t origin[3]);
 
 /* Returns the number of child n of a node; its level's first node is `distance` bytes before that
  * of the children's level. */
-static uint32_t child_of(const uint64_t *words, uint64_t node_at, uint32_t mask, uint32_t table,
-                         uint32_t n, uint64_t distance, uint32_t child_words, uint32_t count)
+static uint32_t leaves_child_of(const uint64_t *words, uint64_t node_at, uint32_t mask,
+                                uint32_t table, uint32_t n, uint64_t distance, uint32_t child_words,
+                                uint32_t count)
 {
     if (!(words[mask + (n >> 6)] >> (n & 63) & 1))
         return BK_NONE;
@@ -101,9 +102,10 @@ static uint32_t child_of(const uint64_t *words, uint64_t node_at, uint32_t mask,
 static uint32_t upper_lower(const struct fmt_nvdb_grid *grid, uint32_t upper, uint32_t n)
 {
     const uint64_t at = (uint64_t)upper * BK_UPPER_WORDS * 8;
-    return child_of((const uint64_t *)(const void *)(grid->uppers + at), at, BK_UPPER_CHILD_MASK,
-                    BK_UPPER_TABLE, n, (uint64_t)(grid->lowers - grid->uppers), BK_LOWER_WORDS,
-                    grid->lower_count);
+    return leaves_child_of((const uint64_t *)(const void *)(grid->uppers + at), at,
+                           BK_UPPER_CHILD_MASK, BK_UPPER_TABLE, n,
+                           (uint64_t)(grid->lowers - grid->uppers), BK_LOWER_WORDS,
+                           grid->lower_count);
 }
 
 /* Returns the number of a leaf of a lower node; BK_NONE if there is none, or if the grid has no
@@ -111,9 +113,10 @@ static uint32_t upper_lower(const struct fmt_nvdb_grid *grid, uint32_t upper, ui
 static uint32_t lower_leaf(const struct fmt_nvdb_grid *grid, uint32_t lower, uint32_t n)
 {
     const uint64_t at = (uint64_t)lower * BK_LOWER_WORDS * 8;
-    return child_of((const uint64_t *)(const void *)(grid->lowers + at), at, BK_LOWER_CHILD_MASK,
-                    BK_LOWER_TABLE, n, (uint64_t)(grid->leaves - grid->lowers), BK_LEAF_WORDS,
-                    grid->leaf_count);
+    return leaves_child_of((const uint64_t *)(const void *)(grid->lowers + at), at,
+                           BK_LOWER_CHILD_MASK, BK_LOWER_TABLE, n,
+                           (uint64_t)(grid->leaves - grid->lowers), BK_LEAF_WORDS,
+                           grid->leaf_count);
 }
 
 static int visit_upper(const struct fmt_nvdb_grid *grid, uint32_t upper, const int32_t origin[3],
@@ -148,7 +151,7 @@ static int32_t tile_origin(uint64_t key, uint32_t shift)
 
 /* Calls visit() for each lower node of a grid that overlaps its bounds. origin: the node's lowest
  * voxel. Returns the first result of visit() that is not 0, after which it stops. */
-static int visit_nodes(const struct fmt_nvdb_grid *grid, node_visit *visit, void *arg)
+static int leaves_visit_nodes(const struct fmt_nvdb_grid *grid, node_visit *visit, void *arg)
 {
     const uint64_t *tiles = (const uint64_t *)(const void *)grid->tiles;
     int status = 0;
@@ -181,7 +184,7 @@ static int add_lower(void *arg, uint32_t lower, const int32_t origin[3])
 
 static int list_lowers(struct builder *builder)
 {
-    int status = visit_nodes(builder->grid, add_lower, builder);
+    int status = leaves_visit_nodes(builder->grid, add_lower, builder);
     bsq_sort(builder->lowers, builder->lower_count, sizeof *builder->lowers, by_morton_order);
     return status;
 }
@@ -225,7 +228,8 @@ static int list_leaves(struct builder *builder)
 /* Returns the level at which a range of leaves splits: 3 * bit + 3 - axis of the highest bit in
  * which the first leaf and the last differ; 0 for a single leaf. *middle: the index of the first
  * leaf whose bit is that of the last. */
-static uint32_t split(const struct builder *builder, const struct range *range, uint64_t *middle)
+static uint32_t leaves_split(const struct builder *builder, const struct range *range,
+                             uint64_t *middle)
 {
     const struct leaf *leaves = builder->leaves;
     uint64_t low = range->begin, high = range->end - 1;
@@ -248,11 +252,11 @@ static uint32_t split(const struct builder *builder, const struct range *range, 
 }
 
 /* Divides a range into at most eight parts, in order. Returns their number. */
-static uint32_t divide(const struct builder *builder, struct range parts[BAKE_TREE_WIDTH])
+static uint32_t leaves_divide(const struct builder *builder, struct range parts[BAKE_TREE_WIDTH])
 {
     uint64_t middles[BAKE_TREE_WIDTH];
     uint32_t levels[BAKE_TREE_WIDTH], count = 1;
-    levels[0] = split(builder, &parts[0], &middles[0]);
+    levels[0] = leaves_split(builder, &parts[0], &middles[0]);
     while (count < BAKE_TREE_WIDTH) {
         uint32_t best = 0;
         for (uint32_t i = 1; i < count; i++)
@@ -266,15 +270,15 @@ static uint32_t divide(const struct builder *builder, struct range parts[BAKE_TR
             middles[i] = middles[i - 1];
         }
         parts[best].end = parts[best + 1].begin = middles[best];
-        levels[best] = split(builder, &parts[best], &middles[best]);
-        levels[best + 1] = split(builder, &parts[best + 1], &middles[best + 1]);
+        levels[best] = leaves_split(builder, &parts[best], &middles[best]);
+        levels[best + 1] = leaves_split(builder, &parts[best + 1], &middles[best + 1]);
     }
     return count;
 }
 
 /* Reserves capacity for more nodes. *fits: whether they are within the limit; bsq_grow() takes up
  * to a half more. */
-static int reserve(struct builder *builder, uint64_t nodes, bool *fits)
+static int leaves_reserve(struct builder *builder, uint64_t nodes, bool *fits)
 {
     struct bake_tree *tree = builder->tree;
     const uint64_t needed = tree->count + nodes;
@@ -293,7 +297,7 @@ static struct pending get_pending(const struct bake_tree_node *node)
 }
 
 /* Appends a node with these leaves. */
-static void append(struct bake_tree *tree, const struct range *range)
+static void leaves_append(struct bake_tree *tree, const struct range *range)
 {
     const struct pending pending = {.range = *range};
     struct bake_tree_node *node = &tree->nodes[tree->count++];
@@ -315,12 +319,12 @@ static int add_children(struct builder *builder, uint64_t number, bool *fits)
         node->corner[2] |= 1;
         return 0;
     }
-    pending.children = divide(builder, parts);
+    pending.children = leaves_divide(builder, parts);
     memcpy(tree->nodes[number].borders, &pending, sizeof pending);
     tree->nodes[number].first = (uint32_t)tree->count;
-    int status = reserve(builder, pending.children, fits);
+    int status = leaves_reserve(builder, pending.children, fits);
     for (uint32_t i = 0; status == 0 && *fits && i < pending.children; i++)
-        append(tree, &parts[i]);
+        leaves_append(tree, &parts[i]);
     return status;
 }
 
@@ -343,7 +347,7 @@ static uint64_t occupied_voxels(const struct fmt_nvdb_grid *grid, uint64_t leaf,
 }
 
 /* Finds the lowest and the highest of up to four bits. */
-static void bit_range(uint32_t bits, uint32_t from, uint8_t *low, uint8_t *high)
+static void leaves_bit_range(uint32_t bits, uint32_t from, uint8_t *low, uint8_t *high)
 {
     *low = (uint8_t)(bits ? from + (uint32_t)__builtin_ctz(bits) : UINT8_MAX);
     *high = (uint8_t)(bits ? from + 32 - (uint32_t)__builtin_clz(bits) : 0);
@@ -364,8 +368,8 @@ static void make_blocks(const struct fmt_nvdb_grid *grid, const struct bake_tree
             bits[2] |= row;
         }
         for (int axis = 0; axis < 3; axis++)
-            bit_range(bits[axis], from[axis], &node->borders[axis][0][block],
-                      &node->borders[axis][1][block]);
+            leaves_bit_range(bits[axis], from[axis], &node->borders[axis][0][block],
+                             &node->borders[axis][1][block]);
         tree->blocks[node->first][block] = voxels;
     }
 }
@@ -374,7 +378,7 @@ static void make_blocks(const struct fmt_nvdb_grid *grid, const struct bake_tree
 static const struct box no_box = {{INT32_MAX, INT32_MAX, INT32_MAX},
                                   {INT32_MIN, INT32_MIN, INT32_MIN}};
 
-static void join(struct box *box, const struct box *other)
+static void leaves_join(struct box *box, const struct box *other)
 {
     for (int axis = 0; axis < 3; axis++) {
         if (other->low[axis] < box->low[axis])
@@ -413,7 +417,7 @@ static void make_boxes(const struct bake_tree *tree, struct bake_tree_node *node
     uint32_t shift = 0;
     for (uint32_t i = 0; i < children; i++) {
         boxes[i] = node_box(&tree->nodes[node->first + i]);
-        join(&whole, &boxes[i]);
+        leaves_join(&whole, &boxes[i]);
     }
     for (int axis = 0; axis < 3; axis++)
         while ((whole.high[axis] - (whole.low[axis] & ~7)) >> shift > UINT8_MAX - 1)
@@ -439,9 +443,9 @@ static int add_nodes(struct builder *builder, bool *fits)
     struct bake_tree *tree = builder->tree;
     const struct range all = {0, builder->leaf_count};
     int status;
-    BSQ_TRY(reserve(builder, 1, fits));
+    BSQ_TRY(leaves_reserve(builder, 1, fits));
     if (*fits)
-        append(tree, &all);
+        leaves_append(tree, &all);
     for (uint64_t i = 0; *fits && i < tree->count; i++) {
         if (i % CHECKED == 0)
             BSQ_TRY(bsq_check(builder->ctx));
@@ -474,7 +478,7 @@ static bool is_narrow(const struct builder *builder)
             block.low[axis] = builder->lowers[i].corner[axis];
             block.high[axis] = block.low[axis] + (1 << BK_LOWER_LOG2);
         }
-        join(&box, &block);
+        leaves_join(&box, &block);
     }
     for (int axis = 0; axis < 3; axis++)
         if ((int64_t)box.high[axis] - box.low[axis] > BAKE_TREE_EXTENT)

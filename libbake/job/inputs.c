@@ -317,7 +317,7 @@ static struct name scan_name(const struct bake_work *job, uint32_t scan)
 
 /* Reads `text` at the start of a name, and advances the name past it. Returns whether it is there.
  */
-static bool take(struct name *name, const char *text, size_t length)
+static bool inputs_take(struct name *name, const char *text, size_t length)
 {
     const bool there = name->length >= length && memcmp(name->at, text, length) == 0;
     name->at += there ? length : 0;
@@ -336,12 +336,13 @@ static size_t stem_length(const struct bake_options *options, const char *object
 
 /* Returns whether an object and a scan have the same name but for their suffixes. What follows the
  * scan's suffix after a '_' is the number of a scan, or any other text. */
-static bool match(const struct bake_options *options, const char *object, struct name scan)
+static bool inputs_match(const struct bake_options *options, const char *object, struct name scan)
 {
-    if (!take(&scan, object, stem_length(options, object)))
+    if (!inputs_take(&scan, object, stem_length(options, object)))
         return false;
-    return scan.length == 0 || (take(&scan, options->high_suffix, strlen(options->high_suffix)) &&
-                                (scan.length == 0 || *scan.at == '_'));
+    return scan.length == 0 ||
+           (inputs_take(&scan, options->high_suffix, strlen(options->high_suffix)) &&
+            (scan.length == 0 || *scan.at == '_'));
 }
 
 /* Lets a scan be seen only by the objects that share most of its name with it: "body_arm_high" is a
@@ -369,7 +370,7 @@ struct list {
     uint64_t left;
 };
 
-static void add_name(struct list *list, const char *name, size_t length)
+static void inputs_add_name(struct list *list, const char *name, size_t length)
 {
     if (list->left > 0 || list->used + length + 32 > sizeof list->text) {
         list->left++;
@@ -394,14 +395,14 @@ static int fail_alone(const struct bake_work *job, const bool *sees)
     struct list objects = {{0}, 0, 0}, others = {{0}, 0, 0};
     for (uint32_t o = 0; o < job->mesh.objects.count; o++)
         if (!memchr(sees + (uint64_t)o * scans, 1, scans))
-            add_name(&objects, job->mesh.objects.list[o], strlen(job->mesh.objects.list[o]));
+            inputs_add_name(&objects, job->mesh.objects.list[o], strlen(job->mesh.objects.list[o]));
     for (uint32_t s = 0; s < scans; s++) {
         bool seen = false;
         for (uint32_t o = 0; o < job->mesh.objects.count && !seen; o++)
             seen = sees[(uint64_t)o * scans + s];
         const struct name name = scan_name(job, s);
         if (!seen)
-            add_name(&others, name.at, name.length);
+            inputs_add_name(&others, name.at, name.length);
     }
     if (objects.used + objects.left + others.used + others.left == 0)
         return 0;
@@ -424,7 +425,7 @@ static int match_objects(struct bake_work *job)
             BSQ_TRY(bsq_check(job->ctx));
         for (uint32_t s = 0; s < scans; s++)
             job->sees[(uint64_t)o * scans + s] =
-                match(job->options, job->mesh.objects.list[o], scan_name(job, s));
+                inputs_match(job->options, job->mesh.objects.list[o], scan_name(job, s));
     }
     for (uint32_t s = 0; s < scans; s++) {
         BSQ_TRY(bsq_check(job->ctx));

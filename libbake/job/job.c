@@ -10,7 +10,7 @@
 #include "libbake/job/job.h"
 #include "libbake/options/options.h"
 
-static int run(struct bake_work *job)
+static int job_run(struct bake_work *job)
 {
     double started = bsq_seconds_now(), area, texels;
     const struct bake_options *options = job->options;
@@ -62,7 +62,7 @@ static void end_tile(struct bsq_ctx *ctx, struct bake_tile *tile)
     memset(tile, 0, sizeof *tile);
 }
 
-static void end(struct bake_work *job)
+static void job_end(struct bake_work *job)
 {
     bake_end_tracing(job);
     for (uint32_t i = 0; job->tiles && i < job->udim.count; ++i)
@@ -102,7 +102,7 @@ int bake_end_job(struct bake_work *job, int status)
     struct bsq_ctx *ctx = job->ctx;
     if (status < 0)
         status = bake_surface_explain(&job->surface, status);
-    end(job);
+    job_end(job);
     if (status < 0)
         bake_report_free(job->report);
     bsq_free(ctx, job);
@@ -113,7 +113,7 @@ int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bak
 {
     struct bake_work *job;
     int status = bake_begin_job(ctx, options, report, &job);
-    return status < 0 ? status : bake_end_job(job, run(job));
+    return status < 0 ? status : bake_end_job(job, job_run(job));
 }
 
 void bake_report_free(struct bake_report *report)

@@ -95,7 +95,7 @@ static int replace_array(struct bsq_ctx *ctx, const struct array *array, const u
     return 0;
 }
 
-static int allocate(struct bsq_ctx *ctx, uint64_t count, struct bake_lowmesh *out)
+static int lowpoly_allocate(struct bsq_ctx *ctx, uint64_t count, struct bake_lowmesh *out)
 {
     struct array arrays[ARRAYS];
     int status = 0;
@@ -156,8 +156,8 @@ static int enter_names(struct bsq_ctx *ctx, struct names *names, const char *ste
 
 /* Adds the triangles of a file. numbers: space for one entry more than the file has materials.
  * Names are entered when a triangle has them, so that empty objects do not count. */
-static int add_triangles(struct bsq_ctx *ctx, struct names *names, const char *stem,
-                         const struct fmt_mesh *mesh, uint32_t (*numbers)[2])
+static int lowpoly_add_triangles(struct bsq_ctx *ctx, struct names *names, const char *stem,
+                                 const struct fmt_mesh *mesh, uint32_t (*numbers)[2])
 {
     const uint32_t none = mesh->materials.count;
     int status = 0;
@@ -189,7 +189,7 @@ static int add_names(struct bsq_ctx *ctx, struct names *names, const char *path,
         bsq_alloc(ctx, "names", mesh->materials.count + UINT64_C(1), sizeof *numbers, &numbers));
     BSQ_TRY(bsq_grow(ctx, "names of triangles", names->count + mesh->triangle_count,
                      sizeof *names->of, &names->of, &names->capacity));
-    BSQ_TRY(add_triangles(ctx, names, stem, mesh, numbers));
+    BSQ_TRY(lowpoly_add_triangles(ctx, names, stem, mesh, numbers));
 done:
     bsq_free(ctx, numbers);
     bsq_free(ctx, stem);
@@ -304,7 +304,7 @@ static void free_names(struct bsq_ctx *ctx, struct names *names)
 
 /* ---- one file ---- */
 
-static void copy_positions(const struct fmt_mesh *mesh, struct bake_lowmesh *out)
+static void lowpoly_copy_positions(const struct fmt_mesh *mesh, struct bake_lowmesh *out)
 {
     for (int k = 0; k < 3; k++) {
         out->bounds_min[k] = INFINITY;
@@ -532,10 +532,10 @@ static int load_file(struct bsq_ctx *ctx, const struct bake_options *options, co
             "their shading will be off by some degrees: apply the scale before baking",
             options->mesh_path);
     bake_transform_mesh(options, &mesh);
-    BSQ_TRY(allocate(ctx, mesh.triangle_count, out));
+    BSQ_TRY(lowpoly_allocate(ctx, mesh.triangle_count, out));
     out->triangle_count = mesh.triangle_count;
     out->polygon_count = count_polygons(&mesh);
-    copy_positions(&mesh, out);
+    lowpoly_copy_positions(&mesh, out);
     BSQ_TRY(bsq_check(ctx));
     BSQ_TRY(copy_texcoords(ctx, path, &mesh, out));
     BSQ_TRY(fill_normals(ctx, options, path, &mesh, out));
@@ -566,7 +566,8 @@ int bake_lowmesh_reorder(struct bsq_ctx *ctx, const uint32_t *order, uint64_t co
 }
 
 /* Adds the triangles of another mesh. */
-static int append(struct bsq_ctx *ctx, struct bake_lowmesh *other, struct bake_lowmesh *mesh)
+static int lowpoly_append(struct bsq_ctx *ctx, struct bake_lowmesh *other,
+                          struct bake_lowmesh *mesh)
 {
     const uint64_t kept = mesh->triangle_count, count = kept + other->triangle_count;
     struct array to[ARRAYS], from[ARRAYS];
@@ -596,7 +597,7 @@ int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_options *options,
         struct bake_lowmesh next;
         status = load_file(ctx, options, options->more_mesh_paths[i], &names, &next);
         if (status == 0)
-            status = append(ctx, &next, out);
+            status = lowpoly_append(ctx, &next, out);
         bake_lowmesh_free(ctx, &next);
     }
     if (status == 0 && out->triangle_count > UINT32_MAX / 3)

@@ -285,7 +285,7 @@ static uint32_t step_right(const struct tangents *s, uint32_t corner)
 
 /* Adds a corner to a fan if it belongs to none and its triangle has the fan's winding. Returns
  * whether it did. */
-static bool join(struct tangents *s, uint32_t corner, uint8_t upright)
+static bool mikkt_join(struct tangents *s, uint32_t corner, uint8_t upright)
 {
     uint8_t *flags = &s->flags[corner / 3];
     if (*flags & (FLAG_JOINED << corner % 3))
@@ -314,17 +314,17 @@ static struct bsq_vec3 weighted_tangent(const struct tangents *s, uint32_t corne
 
 /* Collects the fan of a corner that belongs to none yet, and gives its mean tangent to all of the
  * fan's corners. */
-static void make_fan(struct tangents *s, uint32_t seed)
+static void mikkt_make_fan(struct tangents *s, uint32_t seed)
 {
     const uint8_t upright = s->flags[seed / 3] & FLAG_UPRIGHT;
     uint32_t first = seed, size = 1;
     struct bsq_vec3 sum = {0, 0, 0};
-    join(s, seed, upright);
-    for (uint32_t c = step_left(s, seed); c != NONE && join(s, c, upright); size++) {
+    mikkt_join(s, seed, upright);
+    for (uint32_t c = step_left(s, seed); c != NONE && mikkt_join(s, c, upright); size++) {
         first = c;
         c = step_left(s, c);
     }
-    for (uint32_t c = step_right(s, seed); c != NONE && join(s, c, upright); size++)
+    for (uint32_t c = step_right(s, seed); c != NONE && mikkt_join(s, c, upright); size++)
         c = step_right(s, c);
     for (uint32_t n = 0, c = first; n < size; n++, c = step_right(s, c)) {
         if (!(s->flags[c / 3] & FLAG_FLAT))
@@ -345,7 +345,7 @@ static int make_fans(struct bsq_ctx *ctx, struct tangents *s)
     for (uint32_t c = 0; c < s->input.corner_count && status == 0; c++) {
         uint8_t flags = s->flags[c / 3];
         if (!(flags & (FLAG_DEGENERATE | FLAG_FLAT | (FLAG_JOINED << c % 3))))
-            make_fan(s, c);
+            mikkt_make_fan(s, c);
         if (c % CORNERS_A_CHECK == 0)
             status = bsq_check(ctx);
     }

@@ -49,7 +49,7 @@ struct bake_dilation {
     struct scratch *scratch;
 };
 
-static bool is_valid(const float *texel)
+static bool dilation_is_valid(const float *texel)
 {
     return texel[0] > 0.0f;
 }
@@ -94,7 +94,7 @@ static void carry_strip(const struct bake_dilation *dilation, uint64_t strip, fl
         const float *texels = dilation->rows + (size_t)row * dilation->width * dilation->channels;
         for (uint32_t x = begin; x < end; ++x) {
             const float *texel = texels + (size_t)x * dilation->channels;
-            if (!found[x - begin] && is_valid(texel)) {
+            if (!found[x - begin] && dilation_is_valid(texel)) {
                 found[x - begin] = true;
                 --left;
                 carry(dilation, carried + (size_t)x * dilation->channels, texel,
@@ -172,7 +172,7 @@ static int sweep_strip(void *arg, uint64_t strip, unsigned worker)
         const float *texels = dilation->rows + (size_t)row * dilation->width * dilation->channels;
         uint32_t *slots = dilation->slots + (size_t)row * dilation->width;
         for (uint32_t x = begin; x < end; ++x) {
-            if (is_valid(texels + (size_t)x * dilation->channels))
+            if (dilation_is_valid(texels + (size_t)x * dilation->channels))
                 nearest[x - begin] = row + 1;
             slots[x] = nearest[x - begin];
         }
@@ -339,7 +339,7 @@ uint64_t bake_dilation_row_bytes(const struct bake_image *image)
     return texel_bytes * image->width;
 }
 
-static int allocate(struct bake_dilation *dilation, const char *beside)
+static int dilation_allocate(struct bake_dilation *dilation, const char *beside)
 {
     struct bsq_ctx *ctx = dilation->ctx;
     const uint32_t width = dilation->width;
@@ -386,7 +386,7 @@ int bake_dilation_create(struct bsq_ctx *ctx, const struct bake_image *image, ui
     dilation->band_rows = band_rows < dilation->height ? band_rows : dilation->height;
     dilation->band_count = (dilation->height - 1) / dilation->band_rows + 1;
     dilation->limit = padding == UINT32_MAX ? UINT64_MAX : (uint64_t)padding * padding;
-    BSQ_TRY(allocate(dilation, beside));
+    BSQ_TRY(dilation_allocate(dilation, beside));
     BSQ_TRY(find_below(dilation));
     *out = dilation;
     dilation = NULL;

@@ -72,8 +72,9 @@ static enum fmt_sample_type choose_type(const struct bake_options *options,
 
 /* Chooses a map's image format and sample type by the output's name and the options. Errors:
  * BSQ_EUSAGE. */
-static int choose_format(struct bsq_ctx *ctx, const struct bake_options *options, unsigned number,
-                         const struct fmt_image_format **format, enum fmt_sample_type *type)
+static int maps_choose_format(struct bsq_ctx *ctx, const struct bake_options *options,
+                              unsigned number, const struct fmt_image_format **format,
+                              enum fmt_sample_type *type)
 {
     const struct bake_map_row *row = bake_row_of(options, number);
     const char *path = options->output_path;
@@ -123,7 +124,7 @@ int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options
         if (!bake_has_file(options, maps, i))
             continue;
         count++;
-        BSQ_TRY(choose_format(ctx, options, i, &format, &type));
+        BSQ_TRY(maps_choose_format(ctx, options, i, &format, &type));
     }
     if (count > 1 && !strstr(path, BAKE_MAP_TOKEN))
         return bsq_fail(ctx, BSQ_EUSAGE,
@@ -139,8 +140,8 @@ done:
 
 /* ---- opening ---- */
 
-static int open_file(struct bsq_ctx *ctx, const struct bake_options *options, unsigned number,
-                     const struct bake_traced *traced, struct map_file *file)
+static int maps_open_file(struct bsq_ctx *ctx, const struct bake_options *options, unsigned number,
+                          const struct bake_traced *traced, struct map_file *file)
 {
     const struct bake_map_row *row = bake_row_of(options, number);
     struct bake_attributes attributes;
@@ -156,7 +157,7 @@ static int open_file(struct bsq_ctx *ctx, const struct bake_options *options, un
         .attribute_count = attributes.count,
     };
     const struct fmt_image_format *format;
-    int status = choose_format(ctx, options, number, &format, &image.type);
+    int status = maps_choose_format(ctx, options, number, &format, &image.type);
     if (status < 0)
         return status;
     file->integers = image.type == FMT_UINT8 || image.type == FMT_UINT16;
@@ -208,7 +209,7 @@ int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options,
             struct map_file *file = &files->files[files->count++];
             file->number = i;
             BSQ_TRY(begin_pack(ctx, options, maps, file));
-            BSQ_TRY(open_file(ctx, options, i, traced, file));
+            BSQ_TRY(maps_open_file(ctx, options, i, traced, file));
         }
     *out = files;
     files = NULL;
@@ -299,7 +300,7 @@ static int choose_encodings(struct bake_map_files *files, const struct bake_meas
 
 /* ---- writing ---- */
 
-static uint32_t row_samples(const struct bake_map_files *files, uint32_t file)
+static uint32_t maps_row_samples(const struct bake_map_files *files, uint32_t file)
 {
     return files->options->width * files->files[file].encoder.row->channels;
 }
@@ -335,13 +336,14 @@ static int encode_row(void *arg, uint64_t row, unsigned worker)
     bake_dilation_row(files->dilation, (uint32_t)row, worker, &sources, &texels);
     for (uint32_t i = 0; i < files->count; ++i) {
         struct map_file *file = &files->files[i];
-        float *samples = file->rows + row * row_samples(files, i);
+        float *samples = file->rows + row * maps_row_samples(files, i);
         if (file->component_count > 0)
             encode_pack(files, file, sources, texels, samples);
         else
             bake_encode_row(&file->encoder, sources, texels, files->image_channels,
                             files->options->width, samples);
-        const uint32_t beyond = file->half ? bake_limit_to_half(samples, row_samples(files, i)) : 0;
+        const uint32_t beyond =
+            file->half ? bake_limit_to_half(samples, maps_row_samples(files, i)) : 0;
         if (beyond > 0)
             atomic_fetch_add_explicit(&file->limited, beyond, memory_order_relaxed);
     }
@@ -366,7 +368,7 @@ static int give_rows(const struct bake_map_files *files, uint32_t number, uint32
     return status < 0 ? bsq_fail(files->ctx, status, "%s: the rows were refused", file->path) : 0;
 }
 
-static int write_band(struct bake_map_files *files, uint32_t first_row, uint32_t rows)
+static int maps_write_band(struct bake_map_files *files, uint32_t first_row, uint32_t rows)
 {
     int status = 0;
     for (uint32_t i = 0; i < files->count; ++i) {
@@ -392,7 +394,7 @@ static uint32_t choose_band_rows(const struct bake_map_files *files, const struc
     uint64_t bytes = bsq_memory_share(files->ctx, "rows that are encoded", 4);
     uint64_t row_bytes = bake_dilation_row_bytes(image);
     for (uint32_t i = 0; i < files->count; ++i)
-        row_bytes += row_samples(files, i) * sizeof(float);
+        row_bytes += maps_row_samples(files, i) * sizeof(float);
     if (bytes > BAND_BYTES)
         bytes = BAND_BYTES;
     uint64_t rows = bytes / row_bytes;
@@ -419,7 +421,7 @@ static int write_bands(struct bake_map_files *files, const struct bake_image *im
     int status;
     for (uint32_t i = 0; i < files->count; ++i)
         BSQ_TRY(bsq_alloc(files->ctx, "rows of a map", band_rows,
-                          row_samples(files, i) * sizeof(float), &files->files[i].rows));
+                          maps_row_samples(files, i) * sizeof(float), &files->files[i].rows));
     BSQ_TRY(bake_dilation_create(files->ctx, image, band_rows, files->options->padding,
                                  files->beside, &files->dilation));
     for (;;) {
@@ -429,7 +431,7 @@ static int write_bands(struct bake_map_files *files, const struct bake_image *im
         end_phase(&start, &report->seconds_padding);
         BSQ_TRY(bsq_parallel_for(files->ctx, rows, encode_row, files));
         end_phase(&start, &report->seconds_resolve);
-        BSQ_TRY(write_band(files, first_row, rows));
+        BSQ_TRY(maps_write_band(files, first_row, rows));
         end_phase(&start, &report->seconds_write);
         bsq_progress_add(files->ctx, rows);
     }

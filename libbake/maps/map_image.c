@@ -12,7 +12,7 @@
 #include "base/parallel.h"
 
 /* Chooses between memory and a file, and allocates or creates it. */
-static int allocate(struct bake_image *image, const struct bake_image_options *options)
+static int map_image_allocate(struct bake_image *image, const struct bake_image_options *options)
 {
     struct bsq_ctx *ctx = image->ctx;
     uint64_t texels = (uint64_t)options->width * options->height, bytes;
@@ -40,7 +40,7 @@ int bake_image_create(struct bsq_ctx *ctx, const struct bake_image_options *opti
     image->blocks = options->blocks;
     image->texel_bytes = options->channels * sizeof(float);
     image->file = (struct bsq_file)BSQ_FILE_CLOSED;
-    status = allocate(image, options);
+    status = map_image_allocate(image, options);
     if (status < 0)
         bake_image_free(image);
     else

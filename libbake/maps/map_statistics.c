@@ -16,7 +16,8 @@ enum { SUM_UNIT = -149, SQUARE_UNIT = 2 * SUM_UNIT };
 enum { SUM_DIGITS = 5, SQUARE_DIGITS = 10 };
 
 /* Adds number * 2^shift. */
-static void add_shifted(uint64_t *digits, unsigned count, uint64_t number, unsigned shift)
+static void statistics_add_shifted(uint64_t *digits, unsigned count, uint64_t number,
+                                   unsigned shift)
 {
     unsigned __int128 rest = (unsigned __int128)number << shift % 64;
     for (unsigned i = shift / 64; i < count && rest > 0; i++) {
@@ -29,7 +30,7 @@ static void add_shifted(uint64_t *digits, unsigned count, uint64_t number, unsig
 static void add_digits(uint64_t *to, unsigned count, const uint64_t *more)
 {
     for (unsigned i = 0; i < count; i++)
-        add_shifted(to, count, more[i], 64 * i);
+        statistics_add_shifted(to, count, more[i], 64 * i);
 }
 
 static double to_double(const uint64_t *digits, unsigned count, int unit)
@@ -49,8 +50,8 @@ void bake_statistics_add_value(struct bake_statistics *to, float value)
     const unsigned shift = exponent > 0 ? exponent - 1 : 0;
     to->count++;
     to->largest = fmax(to->largest, fabs((double)value));
-    add_shifted(to->sum, SUM_DIGITS, number, shift);
-    add_shifted(to->squares, SQUARE_DIGITS, number * number, 2 * shift);
+    statistics_add_shifted(to->sum, SUM_DIGITS, number, shift);
+    statistics_add_shifted(to->squares, SQUARE_DIGITS, number * number, 2 * shift);
 }
 
 void bake_statistics_add(struct bake_statistics *to, const struct bake_statistics *more)
@@ -84,7 +85,7 @@ struct measuring {
     struct bake_statistics *workers; /* one each */
 };
 
-static int measure_row(void *arg, uint64_t row, unsigned worker)
+static int statistics_measure_row(void *arg, uint64_t row, unsigned worker)
 {
     const struct measuring *measuring = arg;
     const float *texel = measuring->texels + row * measuring->width * measuring->channels;
@@ -99,7 +100,7 @@ static int measure_band(void *arg, uint32_t first_row, uint32_t rows, float *tex
     struct measuring *measuring = arg;
     (void)first_row;
     measuring->texels = texels;
-    return bsq_parallel_for(measuring->ctx, rows, measure_row, measuring);
+    return bsq_parallel_for(measuring->ctx, rows, statistics_measure_row, measuring);
 }
 
 /* Adds the values at an offset in the texels. */

@@ -10,7 +10,7 @@
 #include "base/vec.h"
 
 /* Makes samples from 0 to 1 stand for values from -range to range. */
-static void set_range(struct bake_encoding *out, double range, float background)
+static void table_set_range(struct bake_encoding *out, double range, float background)
 {
     for (int c = 0; c < 3; ++c) {
         out->scale[c] = 2.0 * range;
@@ -36,7 +36,7 @@ static bool resolve_direction(const float *sums, uint32_t channels, float weight
 static void encode_normals(const struct bake_encoding_facts *facts, struct bake_encoding *out)
 {
     bool tangent = facts->options->normal_space == BAKE_TANGENT_SPACE;
-    set_range(out, 1.0, 0.5f);
+    table_set_range(out, 1.0, 0.5f);
     if (tangent && facts->options->green_down) {
         out->scale[1] = -out->scale[1];
         out->offset[1] = -out->offset[1];
@@ -92,7 +92,7 @@ static void encode_heights(const struct bake_encoding_facts *facts, struct bake_
     const double least = LEAST_HEIGHT * scan_diagonal(facts);
     out->range = given > 0.0 ? given : fmax(facts->statistics.largest, least);
     if (facts->integers)
-        set_range(out, out->range, 0.5f);
+        table_set_range(out, out->range, 0.5f);
 }
 
 /* ---- positions ---- */
@@ -168,7 +168,7 @@ static void encode_curvature(const struct bake_encoding_facts *facts, struct bak
     const double least = diagonal > 0 ? LEAST_CURVATURE / diagonal : 0;
     out->range = given > 0.0 ? given : fmax(mean + sqrt(fmax(variance, 0)), least);
     if (facts->integers)
-        set_range(out, out->range, 0.5f);
+        table_set_range(out, out->range, 0.5f);
 }
 
 /* ---- maps of rays that start at hits ---- */

@@ -27,7 +27,7 @@ uint32_t bake_patch_side(struct bsq_ctx *ctx, uint32_t width, uint32_t height, u
     return side;
 }
 
-static uint64_t count_texels(const struct bake_raster *raster)
+static uint64_t map_patches_count_texels(const struct bake_raster *raster)
 {
     uint64_t texels = 0;
     for (uint32_t i = 0; i < bake_raster_patch_count(raster); ++i) {
@@ -46,7 +46,7 @@ int bake_patch_workers_begin(struct bsq_ctx *ctx, const struct bake_patches *pat
     *out = (struct bake_patch_workers){.channels = bake_image_channels_for(maps),
                                        .texel_floats = bk_texel_floats(maps),
                                        .maps = maps};
-    bsq_progress_begin(ctx, "tracing", "texels", count_texels(patches->raster));
+    bsq_progress_begin(ctx, "tracing", "texels", map_patches_count_texels(patches->raster));
     BSQ_TRY(bsq_calloc(ctx, "workers", bsq_threads(ctx), sizeof *out->workers, &out->workers));
     for (unsigned w = 0; w < bsq_threads(ctx); w++) {
         struct bake_patch_worker *worker = &out->workers[w];

@@ -108,7 +108,7 @@ int bake_thumbnail_of_missed(struct bsq_ctx *ctx, struct bake_image *image, uint
 /* ---- sampling ---- */
 
 /* Finds the two cells around a coordinate and the weight of the second; clamped. */
-static void split(float at, uint32_t size, uint32_t cells[2], float *share)
+static void thumbnail_split(float at, uint32_t size, uint32_t cells[2], float *share)
 {
     float limit = (float)(size - 1);
     at = at > 0.0f ? (at < limit ? at : limit) : 0.0f;
@@ -124,8 +124,8 @@ void bake_thumbnail_sample(const struct bake_thumbnail *thumbnail, float u, floa
     float y = (1.0f - v) * (float)thumbnail->full_height / (float)thumbnail->factor - 0.5f;
     uint32_t columns[2], rows[2];
     float sx, sy;
-    split(x, thumbnail->width, columns, &sx);
-    split(y, thumbnail->height, rows, &sy);
+    thumbnail_split(x, thumbnail->width, columns, &sx);
+    thumbnail_split(y, thumbnail->height, rows, &sy);
     float(*top)[3] = thumbnail->texels + (size_t)rows[0] * thumbnail->width;
     float(*bottom)[3] = thumbnail->texels + (size_t)rows[1] * thumbnail->width;
     for (int c = 0; c < 3; ++c) {

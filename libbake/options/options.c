@@ -258,7 +258,7 @@ void bake_defaults(struct bake_options *options)
 
 /* ---- options without effect ---- */
 
-static void warn(struct bsq_ctx *ctx, const struct bsq_option *row, const char *what)
+static void options_warn(struct bsq_ctx *ctx, const struct bsq_option *row, const char *what)
 {
     bsq_warn(ctx, "--%s%s%s has no effect: it needs %s", row->name, row->key ? " " : "",
              row->key ? row->key : "", what);
@@ -273,7 +273,7 @@ static void warn_of_maps(struct bsq_ctx *ctx, const struct bsq_option *row, uint
         if (maps >> i & 1)
             length += (size_t)snprintf(text + length, sizeof text - length, "%s %s",
                                        maps & ((1u << i) - 1) ? " or" : "", bake_map_name(i));
-    warn(ctx, row, text);
+    options_warn(ctx, row, text);
 }
 
 void bake_warn_of_options(struct bsq_ctx *ctx, const struct bake_options *options,
@@ -287,7 +287,7 @@ void bake_warn_of_options(struct bsq_ctx *ctx, const struct bake_options *option
             warn_of_maps(ctx, row, maps);
         for (uint32_t need = PADDED_MAP; need <= BARE_TRIANGLES; need <<= 1)
             if (row->needs & need && lacks(need, options, scans))
-                warn(ctx, row, lacks(need, options, scans));
+                options_warn(ctx, row, lacks(need, options, scans));
     }
 }
 

@@ -14,7 +14,7 @@
 #define THREE  "/usr/share/javascript/three/build/three.min.js"
 #define LOADER "/usr/share/javascript/three/examples/js/loaders/GLTFLoader.js"
 
-static int put(struct bake_page *page, const char *text)
+static int page_put(struct bake_page *page, const char *text)
 {
     return bsq_output_write(page->output, text, strlen(text));
 }
@@ -25,7 +25,8 @@ static int put_json(struct bake_page *page, const char *text)
     int status = 0;
     for (size_t length; *text && status == 0; text += length) {
         length = *text == '<' ? 1 : strcspn(text, "<");
-        status = *text == '<' ? put(page, "\\u003c") : bsq_output_write(page->output, text, length);
+        status =
+            *text == '<' ? page_put(page, "\\u003c") : bsq_output_write(page->output, text, length);
     }
     return status;
 }
@@ -39,9 +40,9 @@ static int put_file(struct bake_page *page, const char *before, const char *path
     BSQ_TRY(bsq_file_open(page->ctx, path, &file));
     BSQ_TRY(bsq_alloc(page->ctx, "page", file.size, 1, &text));
     BSQ_TRY(bsq_file_read(page->ctx, &file, text, file.size, 0));
-    BSQ_TRY(put(page, before));
+    BSQ_TRY(page_put(page, before));
     BSQ_TRY(bsq_output_write(page->output, text, file.size));
-    status = put(page, after);
+    status = page_put(page, after);
 done:
     bsq_free(page->ctx, text);
     bsq_file_close(page->ctx, &file);
@@ -109,12 +110,12 @@ int bake_page_add(struct bake_page *page, json_t *head, struct bsq_output *outpu
     if (!text)
         return bsq_fail(page->ctx, BSQ_ENOMEM, "%s: out of memory", page->path);
     text[strlen(text) - 1] = '\0'; /* the brace */
-    BSQ_TRY(put(page, "<script type=\"application/json\" class=\"item\">"));
+    BSQ_TRY(page_put(page, "<script type=\"application/json\" class=\"item\">"));
     BSQ_TRY(put_json(page, text));
-    BSQ_TRY(put(page, ", \"data\": \""));
+    BSQ_TRY(page_put(page, ", \"data\": \""));
     BSQ_TRY(bsq_output_read(output, &file));
     BSQ_TRY(put_base64(page, &file));
-    status = put(page, "\"}</script>\n");
+    status = page_put(page, "\"}</script>\n");
 done:
     free(text);
     bsq_file_close(page->ctx, &file);
@@ -153,7 +154,7 @@ int bake_page_take_rows(struct bsq_ctx *ctx, struct bake_page_picture *picture, 
 }
 
 /* Maps the range of each channel to 0 to 1, unless it lies in there. What is not finite is 0. */
-static void normalise(struct bake_page_picture *picture)
+static void page_normalise(struct bake_page_picture *picture)
 {
     const uint64_t texels = (uint64_t)picture->texels.width * picture->texels.height;
     for (int k = 0; k < 3; k++) {
@@ -190,7 +191,7 @@ int bake_page_add_picture(struct bake_page *page, json_t *head, struct bake_page
     json_object_set_new(
         head, "range",
         json_pack("[[f,f],[f,f],[f,f]]", low[0], high[0], low[1], high[1], low[2], high[2]));
-    normalise(picture);
+    page_normalise(picture);
     BSQ_TRY(fmt_image_create(page->ctx, &fmt_png_format, page->path, &options, &writer));
     BSQ_TRY(fmt_image_write_rows(writer, texels->texels[0], texels->height));
     status = fmt_image_hand_over(writer, &output);
@@ -240,9 +241,9 @@ int bake_page_finish(struct bake_page *page, const char *json)
 {
     char script[PATH_MAX];
     int status;
-    BSQ_TRY(put(page, "<script type=\"application/json\" id=\"data\">"));
+    BSQ_TRY(page_put(page, "<script type=\"application/json\" id=\"data\">"));
     BSQ_TRY(put_json(page, json));
-    BSQ_TRY(put(page, "</script>\n"));
+    BSQ_TRY(page_put(page, "</script>\n"));
     BSQ_TRY(fmt_program_find(page->ctx, "../../share/bisque/report.js", "reports", script));
     BSQ_TRY(put_file(page, "<script>\n", script, "</script>\n"));
     struct bsq_output *output = page->output;

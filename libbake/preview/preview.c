@@ -32,8 +32,8 @@ struct rendering {
 
 /* Computes the colours of a sample in the mesh's two panels. x, y: in samples; band_y: y inside the
  * band. */
-static void sample(const struct rendering *r, const struct preview_band *band, uint32_t x,
-                   uint32_t y, uint32_t band_y, struct bsq_vec3 colors[PANEL_SCAN])
+static void preview_sample(const struct rendering *r, const struct preview_band *band, uint32_t x,
+                           uint32_t y, uint32_t band_y, struct bsq_vec3 colors[PANEL_SCAN])
 {
     uint32_t triangle = band->triangle[(size_t)band_y * r->view.samples + x];
     if (triangle == UINT32_MAX)
@@ -61,8 +61,8 @@ static void render_panel_row(const struct rendering *r, const struct preview_ban
         struct bsq_vec3 sums[PANEL_SCAN] = {{0}}, colors[PANEL_SCAN];
         for (uint32_t j = 0; j < PREVIEW_GRID; ++j)
             for (uint32_t i = 0; i < PREVIEW_GRID; ++i) {
-                sample(r, band, column * PREVIEW_GRID + i, row * PREVIEW_GRID + j,
-                       row % PREVIEW_BAND * PREVIEW_GRID + j, colors);
+                preview_sample(r, band, column * PREVIEW_GRID + i, row * PREVIEW_GRID + j,
+                               row % PREVIEW_BAND * PREVIEW_GRID + j, colors);
                 for (int panel = PANEL_PLAIN; panel < PANEL_SCAN; ++panel)
                     sums[panel] = bsq_add3(sums[panel], colors[panel]);
             }
@@ -221,7 +221,7 @@ done:
 
 /* ---- a view ---- */
 
-static int allocate(struct rendering *r)
+static int preview_allocate(struct rendering *r)
 {
     struct bsq_ctx *ctx = r->ctx;
     const uint64_t samples = (uint64_t)PREVIEW_BAND * PREVIEW_GRID * r->side * PREVIEW_GRID;
@@ -237,7 +237,7 @@ done:
     return status;
 }
 
-static void release(struct rendering *r)
+static void preview_release(struct rendering *r)
 {
     for (unsigned w = 0; r->bands && w < bsq_threads(r->ctx); ++w) {
         bsq_free(r->ctx, r->bands[w].depth);
@@ -347,7 +347,7 @@ int bake_preview_write(struct bsq_ctx *ctx, const char *path, const struct bake_
         .type = FMT_UINT8,
         .color = true};
     BSQ_TRY(fmt_image_create(ctx, &fmt_png_format, path, &options, &writer));
-    BSQ_TRY(allocate(&r));
+    BSQ_TRY(preview_allocate(&r));
     const uint64_t probe_rows = preview->options->preview_from < 0 ? PROBES * PROBE_SIDE : 0;
     bsq_progress_begin(ctx, "preview", "rows",
                        UINT64_C(2) * r.side * preview->options->preview_views + probe_rows);
@@ -359,6 +359,6 @@ int bake_preview_write(struct bsq_ctx *ctx, const char *path, const struct bake_
     }
 done:
     fmt_image_discard(writer);
-    release(&r);
+    preview_release(&r);
     return status;
 }

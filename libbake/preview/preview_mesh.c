@@ -97,8 +97,8 @@ static struct bsq_vec3 blend(float (*corners)[3], const float weights[3])
 }
 
 /* Returns the tile whose range of triangles has this one; NULL: none. */
-static const struct bake_preview_tile *tile_of(const struct bake_preview *preview,
-                                               uint32_t triangle)
+static const struct bake_preview_tile *preview_mesh_tile_of(const struct bake_preview *preview,
+                                                            uint32_t triangle)
 {
     uint32_t low = 0, high = preview->tile_count;
     while (low < high) {
@@ -129,7 +129,7 @@ static const struct bake_preview_tile *tile_numbered(const struct bake_preview *
 static const struct bake_preview_tile *
 tile_at(const struct bake_preview *preview, uint32_t triangle, const float weights[3], float at[2])
 {
-    const struct bake_preview_tile *tile = tile_of(preview, triangle);
+    const struct bake_preview_tile *tile = preview_mesh_tile_of(preview, triangle);
     float(*uv)[2] = preview->mesh->texcoords[triangle];
     int away[2];
     for (int k = 0; k < 2; ++k) {

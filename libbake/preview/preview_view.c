@@ -7,7 +7,7 @@ static const double margin = 0.92;              /* share of the panel that the m
 /* Copies a vector that is meant for axis 1 up. With axis 2 up, the front looks to -y, as in
  * Blender.
  */
-static void turn(const double v[3], int up, double out[3])
+static void view_turn(const double v[3], int up, double out[3])
 {
     out[0] = v[0];
     out[1] = up == 1 ? v[1] : -v[2];
@@ -19,9 +19,9 @@ static void set_axes(double around, double elevation, int up_axis, struct previe
     double sa = sin(around), ca = cos(around), se = sin(elevation), ce = cos(elevation);
     const double right[3] = {ca, 0, -sa}, up[3] = {-se * sa, ce, -se * ca},
                  toward[3] = {ce * sa, se, ce * ca};
-    turn(right, up_axis, view->right);
-    turn(up, up_axis, view->up);
-    turn(toward, up_axis, view->toward);
+    view_turn(right, up_axis, view->right);
+    view_turn(up, up_axis, view->up);
+    view_turn(toward, up_axis, view->toward);
 }
 
 /* ---- the vertical axis ---- */

@@ -368,8 +368,8 @@ static void inspect(const struct bake_raster *raster, struct bake_raster_report 
     }
 }
 
-static int check_options(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
-                         const struct bake_raster_options *o)
+static int raster_check_options(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
+                                const struct bake_raster_options *o)
 {
     if (o->width == 0 || o->height == 0 || o->samples == 0 || o->patch_side == 0)
         return bsq_fail(ctx, BSQ_EUSAGE, "a map of %u x %u texels, %u x %u samples each, is empty",
@@ -408,7 +408,7 @@ int bake_raster_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
     struct bake_raster *raster = NULL;
     int status;
     *out = NULL;
-    BSQ_TRY(check_options(ctx, mesh, options));
+    BSQ_TRY(raster_check_options(ctx, mesh, options));
     BSQ_TRY(bsq_calloc(ctx, "raster", 1, sizeof *raster, &raster));
     raster->ctx = ctx;
     raster->mesh = mesh;

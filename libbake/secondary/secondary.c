@@ -5,7 +5,7 @@
 
 #include "libbake/kernel/bk_secondary.h"
 
-static bk_vec3 vector(const float v[3])
+static bk_vec3 secondary_vector(const float v[3])
 {
     return bk_v3(v[0], v[1], v[2]);
 }
@@ -14,8 +14,9 @@ void bake_viewpoint_ray(const struct bk_params *params, const struct bake_viewpo
                         bool open, uint32_t number, float origin[3], float direction[3])
 {
     const bk_rays kind = bk_rays_of(params, open);
-    const bk_vec3w around = bk_hemisphere(&kind, viewpoint->share, vector(viewpoint->normal),
-                                          vector(viewpoint->facet), number);
+    const bk_vec3w around =
+        bk_hemisphere(&kind, viewpoint->share, secondary_vector(viewpoint->normal),
+                      secondary_vector(viewpoint->facet), number);
     const bk_vec3 d = bk_lane3(&around, 0);
     memcpy(origin, open ? viewpoint->open_from : viewpoint->solid_from, 3 * sizeof *origin);
     direction[0] = d.x;

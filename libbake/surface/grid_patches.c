@@ -16,7 +16,7 @@ struct trace {
     struct bake_patch_workers workers;
 };
 
-static int trace_patch(void *arg, uint64_t index, unsigned number)
+static int grid_trace_patch(void *arg, uint64_t index, unsigned number)
 {
     struct trace *trace = arg;
     const struct bake_patches *patches = trace->patches;
@@ -48,8 +48,8 @@ int bake_trace_grid_patches(const struct bake_surface *surface, struct bake_devi
     const uint64_t side = patches->patch_side;
     int status = bake_patch_workers_begin(ctx, patches, side * side, &trace.workers);
     if (status == 0)
-        status =
-            bsq_parallel_for(ctx, bake_raster_patch_count(patches->raster), trace_patch, &trace);
+        status = bsq_parallel_for(ctx, bake_raster_patch_count(patches->raster), grid_trace_patch,
+                                  &trace);
     bake_patch_workers_end(ctx, &trace.workers, report);
     return status;
 }

@@ -489,7 +489,7 @@ static void exchange_seats(const struct job *job, uint32_t a, uint32_t b)
 
 /* Moves patches that need no chunk before `end` from seats [first, last) to the first ones of
  * these. Returns the number after their last seat. */
-static uint32_t gather(struct job *job, uint32_t first, uint32_t last, uint32_t end)
+static uint32_t patches_gather(struct job *job, uint32_t first, uint32_t last, uint32_t end)
 {
     for (uint32_t s = first; s < last; s++)
         if (job->seated[s].first >= end) {
@@ -509,11 +509,11 @@ static void keep_waiting(struct job *job, uint32_t first, uint32_t end)
             p->first = 0;
         else
             set_chunks(job, end, p);
-    job->waiting = gather(job, first, job->taken, end);
+    job->waiting = patches_gather(job, first, job->taken, end);
 }
 
 /* Returns the texels of the patches that do not wait for chunks from `end` on. */
-static uint64_t count_texels(const struct job *job, uint32_t end)
+static uint64_t patches_count_texels(const struct job *job, uint32_t end)
 {
     uint64_t texels = 0;
     for (uint32_t s = 0; s < job->taken; s++) {
@@ -550,10 +550,10 @@ static int run_batch(struct job *job)
 {
     const struct bake_surface *surface = job->surface;
     const uint32_t end = take_seats(job);
-    const uint64_t texels = count_texels(job, end);
+    const uint64_t texels = patches_count_texels(job, end);
     /* The share of the progress that the first rays have. */
     const uint64_t first_texels = texels / sample_cost(job->patches->params);
-    const uint32_t idle = gather(job, 0, job->waiting, end);
+    const uint32_t idle = patches_gather(job, 0, job->waiting, end);
     struct bake_surface_rays rays = rays_of(job, idle);
     int status = 0;
     rays.batch.progress = first_texels;
@@ -652,7 +652,7 @@ done:
     return status;
 }
 
-static void release(struct job *job, struct bake_report *report)
+static void patches_release(struct job *job, struct bake_report *report)
 {
     bake_patch_workers_end(job->ctx, &job->workers, report);
     bake_look_free(job->look);
@@ -700,6 +700,6 @@ int bake_trace_ray_patches(const struct bake_surface *surface, const struct bake
     BSQ_TRY(run_batches(&job));
     BSQ_TRY(tell_losses(surface));
 done:
-    release(&job, report);
+    patches_release(&job, report);
     return status;
 }

@@ -56,7 +56,7 @@ static uint64_t axes_of(const float normal[3], float least)
 }
 
 /* Returns the bits of a cell in a word, without axes; `corner` adds half a cell or takes it. */
-static uint64_t cell_of(const struct bake_seen *seen, const float p[3], int corner)
+static uint64_t seen_cell_of(const struct bake_seen *seen, const float p[3], int corner)
 {
     uint64_t cell = 0;
     for (int k = 0; k < 3; k++) {
@@ -92,14 +92,14 @@ static void mark_cell(struct bake_seen *seen, uint64_t cell, uint64_t axes)
 }
 
 /* Marks a hit. both_sides: the normal may be turned round. */
-static void mark(struct bake_seen *seen, const float position[3], const float normal[3],
-                 bool both_sides)
+static void seen_mark(struct bake_seen *seen, const float position[3], const float normal[3],
+                      bool both_sides)
 {
     uint64_t axes = axes_of(normal, 0.5f);
     if (both_sides)
         axes |= (axes & 0x15) << 1 | (axes & 0x2a) >> 1;
     if (axes != 0)
-        mark_cell(seen, cell_of(seen, position, -1), axes);
+        mark_cell(seen, seen_cell_of(seen, position, -1), axes);
 }
 
 /* Returns a number that follows from where a ray starts, so that the choice of rays does not depend
@@ -128,7 +128,7 @@ static int mark_some(void *arg, uint64_t task, unsigned worker)
         float position[3];
         for (int k = 0; k < 3; k++)
             position[k] = ray->origin[k] * of->unit + (float)hit->t * ray->direction[k];
-        mark(of->seen, position, flat ? hit->facet : hit->normal, of->both_sides);
+        seen_mark(of->seen, position, flat ? hit->facet : hit->normal, of->both_sides);
     }
     return 0;
 }
@@ -181,7 +181,7 @@ static void trace_lines(const struct bake_surface *surface, const struct bake_pa
         for (int k = 0; k < 3; k++)
             position[k] = (ray[k] + hits[i].t * ray[3 + k]) * params->unit;
         if (hits[i].found)
-            mark(patches->seen, position, hits[i].normal, params->flags & BK_TWO_SIDED);
+            seen_mark(patches->seen, position, hits[i].normal, params->flags & BK_TWO_SIDED);
     }
     lines->count = 0;
 }
@@ -232,7 +232,8 @@ struct sums {
 };
 
 /* Adds the area that a point stands for. shift: of the scan's origin from the surface's. */
-static void add_point(struct sums *sums, const struct bake_area_point *point, const double shift[3])
+static void seen_add_point(struct sums *sums, const struct bake_area_point *point,
+                           const double shift[3])
 {
     const uint64_t axes = axes_of(point->normal, 0.25f);
     const double area = (double)point->area;
@@ -243,7 +244,7 @@ static void add_point(struct sums *sums, const struct bake_area_point *point, co
         inside &= (double)at[k] >= sums->low[k] && (double)at[k] <= sums->high[k];
     }
     for (int corner = 0; corner < 8 && !marked; corner++)
-        marked = is_marked(sums->seen, cell_of(sums->seen, at, corner), axes);
+        marked = is_marked(sums->seen, seen_cell_of(sums->seen, at, corner), axes);
     sums->all += area;
     sums->inside += inside ? area : 0;
     sums->unseen += marked ? 0 : area;
@@ -276,7 +277,7 @@ static void add_voxel(struct sums *sums, const struct bake_scan *scan, const str
         inclined += fabs((double)point.normal[k]);
     }
     point.area = (float)(voxels * scan->unit * scan->unit / fmax(inclined, 1));
-    add_point(sums, &point, shift);
+    seen_add_point(sums, &point, shift);
 }
 
 static void add_grid(struct sums *sums, const struct bake_scan *scan, const double shift[3])
@@ -308,7 +309,7 @@ static void add_scan(struct sums *sums, const struct bake_surface *surface,
     }
     const uint64_t count = bake_exact_areas(scan->exact, &points);
     for (uint64_t i = 0; i < count; i++)
-        add_point(sums, &points[i], shift);
+        seen_add_point(sums, &points[i], shift);
 }
 
 void bake_seen_report(const struct bake_seen *seen, const struct bake_surface *surface,

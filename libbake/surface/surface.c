@@ -160,8 +160,8 @@ static void join_scans(struct bake_surface *surface)
 }
 
 /* Opens scan number `index` of the options. */
-static int open_scan(struct bake_surface *surface, const struct bake_options *options,
-                     uint32_t index)
+static int surface_open_scan(struct bake_surface *surface, const struct bake_options *options,
+                             uint32_t index)
 {
     struct bake_scan *scan = &surface->scans[index];
     enum fmt_kind kind = FMT_KIND_TRIS;
@@ -188,7 +188,7 @@ int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
                          options->device));
     BSQ_TRY(bsq_calloc(ctx, "scans", count, sizeof *out->scans, &out->scans));
     for (; out->scan_count < count; out->scan_count++)
-        BSQ_TRY(open_scan(out, options, out->scan_count));
+        BSQ_TRY(surface_open_scan(out, options, out->scan_count));
     join_scans(out);
 done:
     if (status < 0)

@@ -45,8 +45,8 @@ int bake_surface_list_channels(const struct bake_surface *surface,
 /* ---- use ---- */
 
 /* Finds the channel of a transfer map in a grid. */
-static int find_channel(const struct bake_scan *scan, const struct bake_transfer *transfer,
-                        uint32_t *word)
+static int attributes_find_channel(const struct bake_scan *scan,
+                                   const struct bake_transfer *transfer, uint32_t *word)
 {
     const struct fmt_nvdb_grid *grid = &scan->grid;
     const char *name = transfer->name, *texture = transfer->texture_path;
@@ -89,7 +89,7 @@ static int use_grid(struct bake_scan *scan, const struct bake_options *options, 
         BSQ_TRY(bsq_alloc(scan->ctx, "transfer maps", count, sizeof *scan->transfer_words,
                           &scan->transfer_words));
     for (uint32_t i = 0; i < count; i++)
-        BSQ_TRY(find_channel(scan, &options->transfers[i], &scan->transfer_words[i]));
+        BSQ_TRY(attributes_find_channel(scan, &options->transfers[i], &scan->transfer_words[i]));
     grid->transfers = scan->transfer_words;
     grid->transfer_count = count;
 done:
@@ -137,7 +137,7 @@ struct id_names {
 };
 
 /* Makes space for one more entry. */
-static bool reserve(struct id_names *list)
+static bool attributes_reserve(struct id_names *list)
 {
     if (list->report->id_count < list->capacity)
         return true;
@@ -150,11 +150,11 @@ static bool reserve(struct id_names *list)
     return true;
 }
 
-static int add_name(void *arg, const char *name)
+static int attributes_add_name(void *arg, const char *name)
 {
     struct id_names *list = arg;
     const uint32_t id = bsq_name_id(name);
-    char *copy = reserve(list) ? strdup(name) : NULL;
+    char *copy = attributes_reserve(list) ? strdup(name) : NULL;
     if (!copy)
         return bsq_fail(list->ctx, BSQ_ENOMEM, "no memory for the names of ids");
     list->report->ids[list->report->id_count++] =
@@ -168,10 +168,10 @@ static int name_scan(struct id_names *list, const struct bake_scan *scan)
     const char **names;
     uint64_t count;
     if (!scan->exact)
-        return fmt_nvdb_read_names(list->ctx, &scan->grid, add_name, list);
+        return fmt_nvdb_read_names(list->ctx, &scan->grid, attributes_add_name, list);
     int status = fmt_shading_id_names(list->ctx, bake_exact_header(scan->exact), &names, &count);
     for (uint64_t i = 0; i < count && status == 0; i++)
-        status = add_name(list, names[i]);
+        status = attributes_add_name(list, names[i]);
     bsq_free(list->ctx, (void *)names);
     return status;
 }

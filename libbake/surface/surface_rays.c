@@ -20,8 +20,8 @@ struct grid_trace {
 _Static_assert(sizeof(struct bake_exact_ray) == 6 * sizeof(float), "rays are read as floats");
 
 /* Spreads the progress of a batch evenly over its rays. */
-static void add_progress(struct bsq_ctx *ctx, const struct bake_exact_batch *batch, uint64_t begin,
-                         uint64_t end)
+static void surface_add_progress(struct bsq_ctx *ctx, const struct bake_exact_batch *batch,
+                                 uint64_t begin, uint64_t end)
 {
     const double each = (double)batch->progress / (double)batch->count;
     bsq_progress_add(ctx, (uint64_t)(each * (double)end) - (uint64_t)(each * (double)begin));
@@ -61,7 +61,7 @@ static int trace_grid_rays(void *arg, uint64_t task, unsigned worker)
         memcpy(out->normal, hits[i].normal, sizeof out->normal);
         memcpy(out->color, hits[i].color, sizeof out->color);
     }
-    add_progress(trace->scan->ctx, batch, begin, begin + lines.count);
+    surface_add_progress(trace->scan->ctx, batch, begin, begin + lines.count);
     return 0;
 }
 

@@ -7,7 +7,7 @@
 
 /* Returns a copy of `path` with each `token` replaced by `value`; NULL if there is no memory. The
  * caller frees it. A NULL path is allowed and gives NULL. */
-static char *replace(const char *path, const char *token, const char *value)
+static char *udim_path_replace(const char *path, const char *token, const char *value)
 {
     if (!path)
         return NULL;
@@ -28,7 +28,7 @@ static char *replace(const char *path, const char *token, const char *value)
 
 char *bake_map_path(const char *path, const char *name)
 {
-    return replace(path, BAKE_MAP_TOKEN, name);
+    return udim_path_replace(path, BAKE_MAP_TOKEN, name);
 }
 
 /* Returns a name as a part of a file's name: '/', control characters and the brackets of tokens
@@ -48,7 +48,7 @@ static char *file_name_of(const char *name)
 static char *replace_name(const char *path, const char *token, const char *name)
 {
     char *value = name ? file_name_of(name) : strdup(token);
-    char *out = value ? replace(path, token, value) : NULL;
+    char *out = value ? udim_path_replace(path, token, value) : NULL;
     free(value);
     return out;
 }
@@ -67,8 +67,8 @@ char *bake_tile_path(const char *path, uint32_t tile)
     char number[16], uv[32];
     snprintf(number, sizeof number, "%u", tile);
     snprintf(uv, sizeof uv, "u%u_v%u", place % 10 + 1, place / 10 + 1);
-    char *numbered = replace(path, BAKE_UDIM_TOKEN, number);
-    char *out = replace(numbered, BAKE_UVTILE_TOKEN, uv);
+    char *numbered = udim_path_replace(path, BAKE_UDIM_TOKEN, number);
+    char *out = udim_path_replace(numbered, BAKE_UVTILE_TOKEN, uv);
     free(numbered);
     return out;
 }

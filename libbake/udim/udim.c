@@ -92,7 +92,7 @@ static bool take_shape(const float (*uv)[2], struct shape *out)
 
 /* Returns whether a triangle overlaps a rectangle, given by its centre and half its sides: neither
  * a side of the rectangle nor an edge of the triangle separates them. */
-static bool overlaps(const struct shape *s, const double centre[2], const double half[2])
+static bool udim_overlaps(const struct shape *s, const double centre[2], const double half[2])
 {
     for (int k = 0; k < 2; k++)
         if (s->low[k] >= centre[k] + half[k] || s->high[k] <= centre[k] - half[k])
@@ -161,7 +161,7 @@ static void add_to_overlapped(struct tile_sorter *sorter, const struct shape *sh
         for (uint32_t column = first[0]; column < end[0]; column++) {
             double centre[2], half[2];
             shrink_tile(sorter, column, row, centre, half);
-            if (overlaps(shape, centre, half))
+            if (udim_overlaps(shape, centre, half))
                 add_to_tile(sorter, row * COLUMNS + column, triangle, added);
         }
 }
@@ -332,7 +332,7 @@ static int fail_stray(const struct tile_sorter *sorter, const char *tiles)
 }
 
 /* Checks the options against the tiles in use, of which `count` are selected. */
-static int check_tiles(const struct tile_sorter *sorter, uint32_t count)
+static int udim_check_tiles(const struct tile_sorter *sorter, uint32_t count)
 {
     const struct bake_options *o = sorter->options;
     char tiles[200];
@@ -371,7 +371,7 @@ static int list_tiles(struct tile_sorter *sorter, uint32_t set, struct bake_udim
     }
     for (uint32_t tile = 0; tile < TILES; tile++)
         count += sorter->places[tile] > 0 && sorter->selected[tile];
-    int status = check_tiles(sorter, count);
+    int status = udim_check_tiles(sorter, count);
     for (uint32_t tile = 0; tile < TILES && status == 0; tile++) {
         if (sorter->places[tile] == 0 || !sorter->selected[tile])
             continue;

@@ -76,28 +76,28 @@ void vox_chunk_builder_free(struct chunk_builder *b)
 
 /* ---- vertices ---- */
 
-static inline uint64_t mix(uint64_t h, uint64_t value)
+static inline uint64_t build_mix(uint64_t h, uint64_t value)
 {
     h = (h ^ value) * 0x9e3779b97f4a7c15u;
     return h ^ h >> 32;
 }
 
-static inline uint64_t hash_position(const float position[3])
+static inline uint64_t build_hash_position(const float position[3])
 {
     uint64_t xy;
     uint32_t z;
     memcpy(&xy, position, 8);
     memcpy(&z, position + 2, 4);
-    return mix(mix(0, xy), z);
+    return build_mix(build_mix(0, xy), z);
 }
 
 static inline uint64_t hash_vertex(const struct chunk_builder *b, const struct vertex *v)
 {
-    uint64_t h = hash_position(v->position), uv;
+    uint64_t h = build_hash_position(v->position), uv;
     if (b->scan->attributes == 0)
         return h;
     memcpy(&uv, v->texcoord, 8);
-    return mix(mix(h, uv), (uint64_t)v->normal << 32 | v->color);
+    return build_mix(build_mix(h, uv), (uint64_t)v->normal << 32 | v->color);
 }
 
 /* Compares bit by bit, so that 0 and -0 stay different. */
@@ -161,8 +161,8 @@ static inline uint32_t enter_vertex(struct chunk_builder *b, uint32_t slot, uint
     return number;
 }
 
-static uint32_t add_vertex(struct chunk_builder *b, const struct vertex *v, uint32_t slot,
-                           uint64_t hash)
+static uint32_t build_add_vertex(struct chunk_builder *b, const struct vertex *v, uint32_t slot,
+                                 uint64_t hash)
 {
     const uint32_t number = b->vertex_count;
     memcpy(b->positions[number], v->position, 12);
@@ -186,7 +186,7 @@ static inline uint32_t number_hashed(struct chunk_builder *b, const struct verte
             return number;
         slot = (slot + 1) & mask;
     }
-    return add_vertex(b, v, slot, hash);
+    return build_add_vertex(b, v, slot, hash);
 }
 
 static inline uint32_t number_vertex(struct chunk_builder *b, const struct vertex *v)
@@ -245,7 +245,8 @@ static inline struct corner_tag corner_tag(const uint8_t *corner, uint32_t bytes
     return (struct corner_tag){tuple_load(corner, 8), tuple_load(corner + 8, bytes - 8)};
 }
 
-static inline void add_triangle(struct chunk_builder *b, const uint8_t *tuple, uint32_t numbers[3])
+static inline void build_add_triangle(struct chunk_builder *b, const uint8_t *tuple,
+                                      uint32_t numbers[3])
 {
     const uint32_t bytes = b->layout->corner_bytes;
     struct corner_cache *cached[3] = {NULL, NULL, NULL};
@@ -253,7 +254,7 @@ static inline void add_triangle(struct chunk_builder *b, const uint8_t *tuple, u
     uint32_t known = 0;
     for (uint32_t k = 0; bytes <= sizeof tags[0] && k < 3; k++) {
         tags[k] = corner_tag(tuple + k * bytes, bytes);
-        cached[k] = &b->cache[mix(tags[k].low, tags[k].high) >> (64 - CACHE_BITS)];
+        cached[k] = &b->cache[build_mix(tags[k].low, tags[k].high) >> (64 - CACHE_BITS)];
         if (cached[k]->tag.low == tags[k].low && cached[k]->tag.high == tags[k].high) {
             numbers[k] = cached[k]->number;
             known |= 1u << k;
@@ -273,7 +274,7 @@ static void build_triangles(struct chunk_builder *b, const uint8_t *tuples,
         if (t + PREFETCH_AHEAD < count)
             __builtin_prefetch(tuples +
                                (uint64_t)entries[t + PREFETCH_AHEAD].tuple * layout->bytes);
-        add_triangle(b, tuple, b->triangles[t]);
+        build_add_triangle(b, tuple, b->triangles[t]);
         if (b->materials)
             b->materials[t] = tuple_material(layout, tuple);
     }
@@ -348,7 +349,7 @@ static void number_pending(struct chunk_builder *b, struct pending_corners *pend
     for (uint32_t i = 0; i < pending_count; i++)
         __builtin_prefetch(stream_at(&positions, pending->index[i], 12));
     for (uint32_t i = 0; i < pending_count; i++) {
-        pending->hash[i] = hash_position(stream_at(&positions, pending->index[i], 12));
+        pending->hash[i] = build_hash_position(stream_at(&positions, pending->index[i], 12));
         __builtin_prefetch(&b->table[table_slot(b, pending->hash[i])]);
     }
     for (uint32_t i = 0; i < pending_count; i++) {

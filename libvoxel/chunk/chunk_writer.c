@@ -43,7 +43,7 @@ struct chunk_slot {
 /* Returns the number of chunks that are built at once: as the limits say, but they take at most
  * half of the memory left. If there is plenty, up to twice as many, because writes sometimes take
  * long. */
-static unsigned count_slots(const struct batches *b, uint64_t left)
+static unsigned chunks_count_slots(const struct batches *b, uint64_t left)
 {
     uint64_t bytes = vox_chunk_builder_bytes(b->scan->attributes), usual = b->scan->limits->slots;
     uint64_t most = left / 2 / bytes, generous = left / 8 / bytes;
@@ -75,13 +75,13 @@ static uint64_t wanted_capacity(const struct batches *b)
 }
 
 /* Divides the memory left between chunk builders and the batch. */
-static void divide_memory(struct batches *b)
+static void chunks_divide_memory(struct batches *b)
 {
     const struct sort_limits *limits = b->scan->limits;
     const uint64_t carry = FMT_TRIS_CHUNK_TRIANGLES, all = vox_batch_capacity_of_all(b->partition);
     uint64_t left = bsq_memory_share(b->ctx, "batches of chunks", 1);
     left = left > limits->reserve_bytes ? left - limits->reserve_bytes : 0;
-    b->slot_count = count_slots(b, left);
+    b->slot_count = chunks_count_slots(b, left);
     uint64_t others = b->slot_count * vox_chunk_builder_bytes(b->scan->attributes) +
                       vox_batch_fixed_bytes(b->scan, b->partition);
     left = left > others ? left - others : 0;
@@ -96,9 +96,9 @@ static void divide_memory(struct batches *b)
     b->slice_limit = enough ? all : b->capacity - carry - SLICE_GAPS;
 }
 
-static int allocate(struct batches *b)
+static int chunks_allocate(struct batches *b)
 {
-    divide_memory(b);
+    chunks_divide_memory(b);
     int status = vox_batch_open(&b->batch, b->scan, b->partition, b->capacity);
     if (status == 0)
         status = bsq_calloc(b->ctx, "sorting", b->slot_count, sizeof *b->slots, &b->slots);
@@ -108,7 +108,7 @@ static int allocate(struct batches *b)
     return status;
 }
 
-static void release(struct batches *b)
+static void chunks_release(struct batches *b)
 {
     for (unsigned i = 0; b->slots && i < b->slot_count; i++)
         vox_chunk_builder_free(&b->slots[i].builder);
@@ -136,7 +136,7 @@ static uint32_t count_of_first(const struct entry *entries)
     return at;
 }
 
-static int produce(void *arg, void *slot_arg, uint64_t sequence)
+static int chunks_produce(void *arg, void *slot_arg, uint64_t sequence)
 {
     struct batches *b = arg;
     struct chunk_slot *slot = slot_arg;
@@ -151,7 +151,7 @@ static int produce(void *arg, void *slot_arg, uint64_t sequence)
     return 1;
 }
 
-static int work(void *arg, void *slot_arg, uint64_t sequence, unsigned worker)
+static int chunks_work(void *arg, void *slot_arg, uint64_t sequence, unsigned worker)
 {
     const struct batches *b = arg;
     struct chunk_slot *slot = slot_arg;
@@ -161,7 +161,7 @@ static int work(void *arg, void *slot_arg, uint64_t sequence, unsigned worker)
                                  slot->count);
 }
 
-static int emit(void *arg, void *slot_arg, uint64_t sequence)
+static int chunks_emit(void *arg, void *slot_arg, uint64_t sequence)
 {
     struct batches *b = arg;
     const struct chunk_slot *slot = slot_arg;
@@ -175,9 +175,9 @@ static int emit(void *arg, void *slot_arg, uint64_t sequence)
 
 static int write_batch(struct batches *b)
 {
-    const struct bsq_pipeline pipeline = {.produce = produce,
-                                          .work = work,
-                                          .emit = emit,
+    const struct bsq_pipeline pipeline = {.produce = chunks_produce,
+                                          .work = chunks_work,
+                                          .emit = chunks_emit,
                                           .arg = b,
                                           .slots = b->slots,
                                           .slot_size = sizeof *b->slots,
@@ -315,7 +315,7 @@ int vox_write_chunks(const struct scan *scan, const struct partition *partition,
 {
     struct batches b = {
         .ctx = scan->ctx, .scan = scan, .partition = partition, .beside = beside, .writer = writer};
-    int status = allocate(&b);
+    int status = chunks_allocate(&b);
     if (status == 0)
         status = add_buckets(&b, &partition->buckets, partition->levels);
     b.last = true;
@@ -323,6 +323,6 @@ int vox_write_chunks(const struct scan *scan, const struct partition *partition,
         status = write_batch(&b);
     b.report.degenerate = b.batch.degenerate;
     *report = b.report;
-    release(&b);
+    chunks_release(&b);
     return status;
 }

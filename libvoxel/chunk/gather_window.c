@@ -57,7 +57,7 @@ uint64_t vox_gather_triangle_bytes(const struct scan *scan)
 }
 
 /* Opens a stream of the view; it is one segment. */
-static int open_stream(struct gather_window *w, enum scan_stream number, uint64_t triangles)
+static int window_open_stream(struct gather_window *w, enum scan_stream number, uint64_t triangles)
 {
     const struct attribute_stream *from = &w->scan->streams[number];
     struct attribute_stream *stream = &w->view.streams[number];
@@ -99,7 +99,7 @@ int vox_gather_open(struct gather_window *w, const struct scan *scan,
         status = open_kind(w, kind);
     for (int i = 0; status == 0 && i < SCAN_STREAM_COUNT; i++)
         if (scan_keeps(scan, i) && w->kinds[scan_kind_of(i)].active)
-            status = open_stream(w, i, triangles);
+            status = window_open_stream(w, i, triangles);
     return status;
 }
 
@@ -136,7 +136,7 @@ void vox_gather_clear(struct gather_window *w)
     }
 }
 
-static inline void mark(const struct gather_kind *kind, uint64_t index)
+static inline void window_mark(const struct gather_kind *kind, uint64_t index)
 {
     used_word *word = &kind->marks[index / 64];
     const uint64_t bit = (uint64_t)1 << index % 64;
@@ -151,7 +151,7 @@ static void mark_plain(const struct gather_kind *kind, const uint8_t *tuples, ui
     for (uint64_t c = 0; c < 3 * count; c++) {
         uint32_t index;
         memcpy(&index, tuples + 4 * c, 4);
-        mark(kind, index);
+        window_mark(kind, index);
     }
 }
 
@@ -180,7 +180,7 @@ void vox_gather_mark(struct gather_window *w, const uint8_t *tuples, uint64_t co
         for (uint64_t c = 0; bytes > 0 && c < 3 * count; c++) {
             const uint64_t index = tuple_load(tuples + corner_offset(w->layout, i, c), bytes);
             if (index < kind->count) /* others are "none" */
-                mark(kind, index);
+                window_mark(kind, index);
         }
     }
 }
@@ -216,8 +216,8 @@ static uint64_t word_at(const struct gather_kind *kind, uint64_t word)
 }
 
 /* Copies the marked elements of words [first, end) to the view. from: the first word's elements. */
-static void gather(const struct gather_kind *kind, uint64_t first, uint64_t end,
-                   const uint8_t *from, uint32_t bytes, uint8_t *elements)
+static void window_gather(const struct gather_kind *kind, uint64_t first, uint64_t end,
+                          const uint8_t *from, uint32_t bytes, uint8_t *elements)
 {
     uint8_t *to = elements + (uint64_t)kind->ranks[first] * bytes;
     for (uint64_t word = first; word < end; word++, from += 64 * bytes)
@@ -262,7 +262,7 @@ static int fetch_range(void *arg, uint64_t number, unsigned worker)
         if (status == 0 && fetch->stream == SCAN_COLORS)
             vox_scan_scale_colors(w->scan, 64 * word, count, (uint32_t *)(void *)buffer);
         if (status == 0)
-            gather(kind, word, end_word, buffer, bytes, w->elements[fetch->stream]);
+            window_gather(kind, word, end_word, buffer, bytes, w->elements[fetch->stream]);
         word = end_word - 1;
     }
     return status;

@@ -133,8 +133,8 @@ static void mark_tuple(const struct batch *b, const uint8_t *tuple)
 /* Makes entries for the tuples with an area and returns their count. Inlined, so that widths and
  * offsets of a constant layout are constants. */
 static inline __attribute__((always_inline)) uint32_t
-make_entries(const struct batch *b, const struct tuple_layout *layout, const uint8_t *tuples,
-             uint64_t first, uint32_t count, struct entry *entries)
+batch_make_entries(const struct batch *b, const struct tuple_layout *layout, const uint8_t *tuples,
+                   uint64_t first, uint32_t count, struct entry *entries)
 {
     /* Local copies, so that the compiler knows that writes to `entries` cannot change them. */
     const struct morton_cube cube = b->partition->cube;
@@ -166,8 +166,8 @@ static void enter_tuples(struct batch *b, struct batch_slice *slice, uint64_t do
     if (b->gathered)
         vox_gather_number(&b->window, tuples, count);
     slice->kept += b->partition->layout.plain
-                       ? make_entries(b, &plain, tuples, first, count, to)
-                       : make_entries(b, &b->partition->layout, tuples, first, count, to);
+                       ? batch_make_entries(b, &plain, tuples, first, count, to)
+                       : batch_make_entries(b, &b->partition->layout, tuples, first, count, to);
 }
 
 /* ---- sorting by key ----

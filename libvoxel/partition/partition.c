@@ -132,7 +132,7 @@ static int make_table(struct reading *r, uint64_t left)
  * buckets may use that share, since it is freed before the batches come. What the reader has
  * allocated by now depends on timing, so it is not asked: a scan is refused always or never.
  * *pages: the memory of buckets' pages. */
-static int divide_memory(struct reading *r, uint64_t *pages)
+static int partition_divide_memory(struct reading *r, uint64_t *pages)
 {
     const struct scan *scan = r->scan;
     const struct sort_limits *limits = scan->limits;
@@ -204,7 +204,7 @@ static int begin_faces(struct reading *r)
     BSQ_TRY(vox_scan_finish_streams(r->scan));
     r->spilled = r->scan->streams[SCAN_POSITIONS].spill.spilled;
     r->out->cube = morton_cube_over(r->scan->bounds_min, r->scan->bounds_max);
-    BSQ_TRY(divide_memory(r, &pages));
+    BSQ_TRY(partition_divide_memory(r, &pages));
     BSQ_TRY(make_buckets(r, pages));
     r->plan = (struct triangulation_plan){
         .scan = r->scan,
@@ -235,7 +235,7 @@ done:
     return status;
 }
 
-static int follow(void *arg, const struct fmt_mesh_batch *batch, unsigned number)
+static int follow_batch(void *arg, const struct fmt_mesh_batch *batch, unsigned number)
 {
     struct reading *r = arg;
     struct batch_slot *slot = &r->slots[number];
@@ -254,7 +254,7 @@ static int follow(void *arg, const struct fmt_mesh_batch *batch, unsigned number
 
 /* Copies runs to their buckets. Nothing more is kept after an index that is out of range: the scan
  * is refused after everything has been read. */
-static int finish(void *arg, const struct fmt_mesh_batch *batch, unsigned number)
+static int partition_finish(void *arg, const struct fmt_mesh_batch *batch, unsigned number)
 {
     struct reading *r = arg;
     const struct batch_slot *slot = &r->slots[number];
@@ -276,7 +276,7 @@ static int finish(void *arg, const struct fmt_mesh_batch *batch, unsigned number
 
 static int read_pass(struct reading *r, struct fmt_mesh_reader *reader, bool elements, bool faces)
 {
-    static const struct fmt_mesh_steps steps = {on_batch, follow, finish};
+    static const struct fmt_mesh_steps steps = {on_batch, follow_batch, partition_finish};
     r->elements = elements;
     r->faces = faces;
     return fmt_mesh_read_steps(reader, &steps, r, &r->scan->totals);
@@ -309,7 +309,7 @@ done:
 /* Bytes of a triangle's delta-coded indices, for one kind of index. */
 #define BYTES_BY_INDEX 2
 
-static uint64_t vertex_bytes(const struct fmt_mesh_estimate *scan)
+static uint64_t partition_vertex_bytes(const struct fmt_mesh_estimate *scan)
 {
     return 12 + (scan->has_colors ? 4 : 0) + (scan->texcoords > 0 ? 8 : 0) +
            (scan->normals > 0 ? 4 : 0);
@@ -329,7 +329,7 @@ struct disk_space vox_disk_estimate(const struct fmt_mesh_estimate *scan,
     const uint64_t pages = limits->page_memory + (spilled ? 0 : limits->stream_bytes - streams);
     const uint64_t runs = coded > pages ? coded - pages : 0;
     return (struct disk_space){
-        .output_bytes = 6 * triangles + scan->vertices * vertex_bytes(scan),
+        .output_bytes = 6 * triangles + scan->vertices * partition_vertex_bytes(scan),
         .temp_bytes = (spilled ? streams : 0) + runs,
     };
 }

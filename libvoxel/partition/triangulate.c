@@ -105,8 +105,8 @@ static inline const void *bucket_source(const struct triangulator *t, const stru
 }
 
 /* Returns a corner of a triangle: its number in the batch. */
-static inline uint32_t corner_of(const struct triangulator *t, const struct faces *faces,
-                                 uint32_t triangle, uint32_t k)
+static inline uint32_t faces_corner_of(const struct triangulator *t, const struct faces *faces,
+                                       uint32_t triangle, uint32_t k)
 {
     return faces->sizes ? t->corners[triangle][k] : 3 * triangle + k;
 }
@@ -137,7 +137,7 @@ done:
 }
 
 /* Adds the triangle of corners first + v[0], first + v[1] and first + v[2]. */
-static inline void add_triangle(struct triangulator *t, uint32_t first, const uint32_t v[3])
+static inline void faces_add_triangle(struct triangulator *t, uint32_t first, const uint32_t v[3])
 {
     uint32_t *corners = t->corners[t->triangles++];
     for (uint32_t k = 0; k < 3; k++)
@@ -161,7 +161,7 @@ static int add_polygon(struct triangulator *t, const struct faces *faces, uint32
     BSQ_TRY(bsq_triangulate(t->ctx, (const double(*)[3])t->polygon, size, t->polygon_triangles,
                             t->polygon_scratch));
     for (uint32_t i = 0; i < size - 2; i++) {
-        add_triangle(t, first, t->polygon_triangles + 3 * i);
+        faces_add_triangle(t, first, t->polygon_triangles + 3 * i);
         BSQ_TRY(bsq_check_corner(t->ctx, i));
     }
 done:
@@ -183,7 +183,7 @@ static int add_faces(struct triangulator *t, const struct faces *faces)
         if (size > 3)
             status = add_polygon(t, faces, corner, size);
         else
-            add_triangle(t, corner, triangle);
+            faces_add_triangle(t, corner, triangle);
         corner += size;
     }
     return status;
@@ -231,17 +231,17 @@ static void find_buckets(struct triangulator *t, const struct faces *faces)
     for (uint32_t i = 0; i < triangles; i++) {
         if (i + TRIANGLES_AHEAD < triangles) {
             const char *source =
-                bucket_source(t, faces, corner_of(t, faces, i + TRIANGLES_AHEAD, 0));
+                bucket_source(t, faces, faces_corner_of(t, faces, i + TRIANGLES_AHEAD, 0));
             __builtin_prefetch(source);
             __builtin_prefetch(source + 8);
         }
-        t->buckets[i] = (uint16_t)bucket_of(t, faces, corner_of(t, faces, i, 0));
+        t->buckets[i] = (uint16_t)bucket_of(t, faces, faces_corner_of(t, faces, i, 0));
     }
 }
 
 /* Counts the triangles of each bucket. `runs` gets the buckets in the order of their first
  * triangles. */
-static void count_triangles(struct triangulator *t)
+static void faces_count_triangles(struct triangulator *t)
 {
     uint32_t run_count = 0;
     for (uint64_t i = 0; i < t->triangles; i++) {
@@ -276,12 +276,12 @@ static inline bool lacks_texcoord(const struct triangulator *t, const struct fac
     const uint64_t *texcoords = faces->indices[FMT_MESH_TEXCOORD];
     bool lacks = !texcoords;
     for (uint32_t k = 0; k < 3 && !lacks; k++)
-        lacks = texcoords[corner_of(t, faces, triangle, k)] == FMT_MESH_NONE;
+        lacks = texcoords[faces_corner_of(t, faces, triangle, k)] == FMT_MESH_NONE;
     return lacks;
 }
 
 /* Finds the materials of triangles that may have different ones. */
-static void find_materials(struct triangulator *t, const struct faces *faces)
+static void faces_find_materials(struct triangulator *t, const struct faces *faces)
 {
     const struct fmt_mesh_batch *batch = faces->batch;
     uint32_t usemtl = batch->material_at_start, triangle = 0;
@@ -304,9 +304,9 @@ static inline void put_triangle(const struct triangulator *t, const struct faces
         const uint64_t *from = faces->indices[kind];
         if (!(form >> kind & 1))
             continue;
-        const uint64_t index[3] = {from[corner_of(t, faces, triangle, 0)],
-                                   from[corner_of(t, faces, triangle, 1)],
-                                   from[corner_of(t, faces, triangle, 2)]};
+        const uint64_t index[3] = {from[faces_corner_of(t, faces, triangle, 0)],
+                                   from[faces_corner_of(t, faces, triangle, 1)],
+                                   from[faces_corner_of(t, faces, triangle, 2)]};
         w->to = corner_code_put(&w->codes[kind], index, w->to);
     }
 }
@@ -318,7 +318,7 @@ static inline __attribute__((always_inline)) void prefetch_triangle(const struct
 {
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         if (form >> kind & 1)
-            __builtin_prefetch(&faces->indices[kind][corner_of(t, faces, triangle, 0)]);
+            __builtin_prefetch(&faces->indices[kind][faces_corner_of(t, faces, triangle, 0)]);
 }
 
 /* Writes the triangles of a bucket as runs and returns their end. Inlined, so that a constant form
@@ -374,7 +374,7 @@ static void code_sorted(struct triangulator *t, const struct faces *faces)
  * sixteenth of a batch's time. */
 #define BLOCKS_WITHOUT_TRIAL 16
 
-static bool is_plain(const struct faces *faces)
+static bool faces_is_plain(const struct faces *faces)
 {
     return !faces->sizes && !faces->has_materials && !faces->indices[FMT_MESH_NORMAL];
 }
@@ -454,7 +454,7 @@ static int triangulate_plain(struct triangulator *t, const struct faces *faces, 
     *done = false;
     if (t->skipped_plain > 0)
         t->skipped_plain--;
-    else if (is_plain(faces)) {
+    else if (faces_is_plain(faces)) {
         int status = reserve_plain(t, faces->batch->face_count);
         if (status < 0)
             return status;
@@ -466,7 +466,7 @@ static int triangulate_plain(struct triangulator *t, const struct faces *faces, 
 
 /* ---- batches ---- */
 
-static int reserve(struct triangulator *t, const struct faces *faces, uint64_t triangles)
+static int faces_reserve(struct triangulator *t, const struct faces *faces, uint64_t triangles)
 {
     const char *what = "faces";
     uint32_t kinds = 0;
@@ -507,15 +507,15 @@ int vox_triangulate_batch(struct triangulator *t, const struct fmt_mesh_batch *b
     int status = triangulate_plain(t, &faces, &plain);
     if (status < 0 || plain)
         return status;
-    BSQ_TRY(reserve(t, &faces, triangles));
+    BSQ_TRY(faces_reserve(t, &faces, triangles));
     BSQ_TRY(reserve_polygon(t, max_size));
     t->triangles = triangles;
     BSQ_TRY(faces.sizes ? add_faces(t, &faces) : 0);
     find_buckets(t, &faces);
-    count_triangles(t);
+    faces_count_triangles(t);
     sort_by_bucket(t);
     if (faces.has_materials)
-        find_materials(t, &faces);
+        faces_find_materials(t, &faces);
     code_sorted(t, &faces);
 done:
     return status;

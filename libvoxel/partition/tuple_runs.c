@@ -154,8 +154,8 @@ static void set_materials(const struct scan *scan, const struct tuple_layout *la
                     scan->material_map[entry] + 1, layout->material_bytes);
 }
 
-static void decode(const struct run_reader *reader, const struct run_header *header,
-                   const uint8_t *from, uint8_t *to)
+static void tuples_decode(const struct run_reader *reader, const struct run_header *header,
+                          const uint8_t *from, uint8_t *to)
 {
     const struct tuple_layout *layout = reader->layout;
     const uint32_t count = header->triangles;
@@ -185,7 +185,7 @@ int vox_run_reader_next(struct run_reader *reader, uint8_t *to, uint32_t *count)
         BSQ_TRY(fill_buffer(reader, before + header.bytes));
     }
     if (to)
-        decode(reader, &header, reader->buffer + reader->begin + before, to);
+        tuples_decode(reader, &header, reader->buffer + reader->begin + before, to);
     reader->begin += before + header.bytes;
     *count = header.triangles;
 done:

@@ -72,7 +72,8 @@ static uint64_t first_run_bytes(const struct scan *scan)
 }
 
 /* Adds a block to the runs. Returns false if there are more than `most`. */
-static bool add_runs(struct vertex_buckets *out, const struct vertex_block *block, uint64_t most)
+static bool vertices_add_runs(struct vertex_buckets *out, const struct vertex_block *block,
+                              uint64_t most)
 {
     if (block->changes > most)
         return false;
@@ -116,7 +117,7 @@ static int make_runs(const struct scan *scan, const struct morton_cube *cube, ui
     BSQ_TRY(bsq_alloc(scan->ctx, what, first_run_bytes(scan), 1, &out->first_runs));
     while (*made && block->first + block->count < vertices) {
         BSQ_TRY(read_vertices(scan, cube, out->levels, block));
-        *made = add_runs(out, block, most);
+        *made = vertices_add_runs(out, block, most);
     }
     status = *made ? end_runs(scan, out) : 0;
 done:
@@ -126,8 +127,8 @@ done:
 /* ---- tables ---- */
 
 /* Makes a table with an entry for each vertex. */
-static int make_entries(const struct scan *scan, const struct morton_cube *cube,
-                        struct vertex_block *block, struct vertex_buckets *out)
+static int vertices_make_entries(const struct scan *scan, const struct morton_cube *cube,
+                                 struct vertex_block *block, struct vertex_buckets *out)
 {
     const uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
     int status;
@@ -175,7 +176,7 @@ int vox_vertex_buckets_make(const struct scan *scan, const struct morton_cube *c
         memset(block, 0, sizeof *block);
         out->levels = levels_of_entries(vertices, levels, bytes);
         out->bytes = vertices * (out->levels > VERTEX_BUCKET_NARROW_LEVELS ? 2 : 1);
-        status = out->levels > 0 ? make_entries(scan, cube, block, out) : 0;
+        status = out->levels > 0 ? vertices_make_entries(scan, cube, block, out) : 0;
     }
     out->have_order = block->changes < vertices / VERTICES_BY_CHANGE;
     count_occupied(block, out);

@@ -137,7 +137,7 @@ static int fill_unit(struct vox_run *run, struct vox_unit *unit, uint64_t sequen
     return 1;
 }
 
-static int produce(void *arg, void *slot, uint64_t sequence)
+static int regions_produce(void *arg, void *slot, uint64_t sequence)
 {
     struct vox_run *run = arg;
     return gate_pass(&run->gate, fill_unit(run, slot, sequence));
@@ -168,7 +168,7 @@ static int write_unit(struct vox_run *run, const struct vox_unit *unit)
 
 /* Writes a unit. Its slot keeps memory of ordinary size for the next unit, at most half of the
  * limit for all slots together. */
-static int emit(void *arg, void *slot, uint64_t sequence)
+static int regions_emit(void *arg, void *slot, uint64_t sequence)
 {
     struct vox_run *run = arg;
     struct vox_unit *unit = slot;
@@ -288,7 +288,7 @@ static int work_window(struct vox_run *run, struct vox_unit *unit, const struct 
     return status;
 }
 
-static int work(void *arg, void *slot, uint64_t sequence, unsigned worker)
+static int regions_work(void *arg, void *slot, uint64_t sequence, unsigned worker)
 {
     struct vox_run *run = arg;
     struct vox_unit *unit = slot;
@@ -303,9 +303,9 @@ static int work(void *arg, void *slot, uint64_t sequence, unsigned worker)
 int vox_run_regions(struct vox_run *run)
 {
     const struct bsq_pipeline pipeline = {
-        .produce = produce,
-        .work = work,
-        .emit = emit,
+        .produce = regions_produce,
+        .work = regions_work,
+        .emit = regions_emit,
         .arg = run,
         .slots = run->units,
         .slot_size = sizeof *run->units,

@@ -59,7 +59,7 @@ static bool uses_textures(const struct vox_run *run)
  * read and prepared again, which costs far more than a region in parts. Gives half of the rest to
  * the sums. What is left is for the results under way and for the writer. Fails early if the
  * minimum of all that does not fit. */
-static int divide_memory(const struct vox_run *run, struct vox_shares *shares)
+static int voxelize_divide_memory(const struct vox_run *run, struct vox_shares *shares)
 {
     uint64_t available = bsq_memory_left(run->ctx);
     uint64_t slot = vox_chunks_slot_bytes(run->file, run->smooth != NULL);
@@ -114,7 +114,7 @@ static int list_channels(struct vox_run *run)
 }
 
 /* Sets the list of the grid's channels. */
-static int choose_channels(struct vox_run *run)
+static int voxelize_choose_channels(struct vox_run *run)
 {
     const char *list = run->options->channels;
     if (list && strcmp(list, "all") == 0)
@@ -122,7 +122,7 @@ static int choose_channels(struct vox_run *run)
     return bsq_text_copy(run->ctx, list, &run->channels);
 }
 
-static int check_channels(const struct vox_run *run)
+static int voxelize_check_channels(const struct vox_run *run)
 {
     const char *list = run->channels;
     uint32_t first;
@@ -152,8 +152,8 @@ static int open_input(struct vox_run *run)
                         run->header->chunk_count);
     if (run->options->ids)
         BSQ_TRY(fmt_tris_require_ids(run->file));
-    BSQ_TRY(choose_channels(run));
-    BSQ_TRY(check_channels(run));
+    BSQ_TRY(voxelize_choose_channels(run));
+    BSQ_TRY(voxelize_check_channels(run));
     status = vox_transform_init(run->ctx, run->header, path, run->options->resolution,
                                 run->options->voxel_size, &run->transform);
 done:
@@ -174,7 +174,7 @@ static int check_grid(struct vox_run *run)
 }
 
 /* Finds the boxes of chunks in the regions that they touch. */
-static int find_boxes(struct vox_run *run)
+static int voxelize_find_boxes(struct vox_run *run)
 {
     uint64_t count = run->header->chunk_count;
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(run->file);
@@ -193,7 +193,7 @@ static int open_run(struct vox_run *run)
 {
     int status;
     BSQ_TRY(open_input(run));
-    BSQ_TRY(find_boxes(run));
+    BSQ_TRY(voxelize_find_boxes(run));
     status = check_grid(run);
 done:
     return status;
@@ -256,7 +256,7 @@ static int add_channels(const struct vox_run *run, struct fmt_shading *shading)
     return status;
 }
 
-static int add_attributes(struct vox_run *run)
+static int voxelize_add_attributes(struct vox_run *run)
 {
     const struct vox_voxelize_options *options = run->options;
     struct fmt_shading *shading = &run->shading.scan;
@@ -279,9 +279,9 @@ static int set_up(struct vox_run *run)
     int status = 0;
     BSQ_TRY(vox_schedule_create(run->ctx, run->boxes, run->box_count, &run->schedule));
     BSQ_TRY(make_smooth(run));
-    BSQ_TRY(add_attributes(run));
+    BSQ_TRY(voxelize_add_attributes(run));
     malloc_trim(0); /* what sorting has freed counts as resident until then */
-    BSQ_TRY(divide_memory(run, &run->shares));
+    BSQ_TRY(voxelize_divide_memory(run, &run->shares));
     if (run->shares.texture_bytes > 0)
         BSQ_TRY(fmt_shading_open_textures(&shading->scan, run->shares.texture_bytes));
     BSQ_TRY(vox_shading_prepare(shading));

@@ -63,7 +63,7 @@ static uint64_t triangle_bytes(const struct bake_job *job)
 }
 
 /* Reserves bytes of the host's budget until the device is closed. */
-static int reserve(struct bake_compute *compute, const char *what, uint64_t bytes)
+static int compute_reserve(struct bake_compute *compute, const char *what, uint64_t bytes)
 {
     int status = bsq_reserve(compute->ctx, what, bytes);
     if (status == 0)
@@ -94,7 +94,7 @@ static int share_memory(struct bake_compute *compute, const struct bake_job *job
     compute->base.memory_bytes = limit - fixed;
     compute->base.buffer_bytes = buffer_bytes;
     return compute->shares_memory
-               ? reserve(compute, "patches on a device that shares host memory", fixed)
+               ? compute_reserve(compute, "patches on a device that shares host memory", fixed)
                : 0;
 }
 
@@ -113,7 +113,7 @@ static int note_failure(struct bake_compute *compute, struct bake_failure failur
 }
 
 /* Sends the half that is being filled. Returns when the other one may be filled. */
-static int flush(struct bake_compute *compute)
+static int compute_flush(struct bake_compute *compute)
 {
     struct bake_stream *stream = upload_stream(compute);
     const unsigned half = compute->filling;
@@ -159,7 +159,7 @@ static int copy_in(const struct bake_compute *compute, struct copy copy)
 }
 
 /* Appends data to the array that goes up. */
-static int put(struct bake_compute *compute, const void *data, uint64_t bytes)
+static int compute_put(struct bake_compute *compute, const void *data, uint64_t bytes)
 {
     const char *from = data;
     int status = 0;
@@ -171,12 +171,12 @@ static int put(struct bake_compute *compute, const void *data, uint64_t bytes)
         from += piece;
         bytes -= piece;
         if (status == 0 && compute->used == STAGING_BYTES)
-            status = flush(compute);
+            status = compute_flush(compute);
     }
     return status;
 }
 
-/* Makes put() append to an array from now on. */
+/* Makes compute_put() append to an array from now on. */
 static void begin_upload(struct bake_compute *compute, bake_memory to)
 {
     compute->upload_to = to;
@@ -194,20 +194,20 @@ static int send_triangles(struct bake_compute *compute, const struct bake_job *j
     BSQ_TRY(note_failure(
         compute, compute->calls->allocate(compute, triangle_bytes(job), &compute->triangles)));
     begin_upload(compute, compute->triangles);
-    BSQ_TRY(put(compute, job->triangles, triangle_bytes(job)));
-    BSQ_TRY(flush(compute));
+    BSQ_TRY(compute_put(compute, job->triangles, triangle_bytes(job)));
+    BSQ_TRY(compute_flush(compute));
     status = finish_upload(compute);
 done:
     return status == BSQ_ENODEVICE ? bake_compute_fail(compute, compute->upload_failure) : status;
 }
 
-static int load_grid(struct bake_compute *compute, const struct bake_grid_arrays *grid,
-                     const char **what)
+static int compute_load_grid(struct bake_compute *compute, const struct bake_grid_arrays *grid,
+                             const char **what)
 {
     int status;
     *what = "memory that the device shares";
     if (compute->shares_memory)
-        BSQ_TRY(reserve(compute, "grid on a device that shares host memory", grid->bytes));
+        BSQ_TRY(compute_reserve(compute, "grid on a device that shares host memory", grid->bytes));
     compute->params = grid->params;
     for (int i = 0; i < BAKE_GRID_ARRAYS; i++) {
         *what = grid->arrays[i].name;
@@ -219,8 +219,8 @@ static int load_grid(struct bake_compute *compute, const struct bake_grid_arrays
         *what = array->name;
         begin_upload(compute, compute->arrays[i]);
         for (int k = 0; k < BAKE_ARRAY_PARTS; k++)
-            BSQ_TRY(put(compute, array->parts[k].data, array->parts[k].bytes));
-        BSQ_TRY(flush(compute));
+            BSQ_TRY(compute_put(compute, array->parts[k].data, array->parts[k].bytes));
+        BSQ_TRY(compute_flush(compute));
     }
     status = finish_upload(compute);
 done:
@@ -228,8 +228,8 @@ done:
 }
 
 /* Describes a failure in `why`, after the part of the work that it belongs to. */
-static void describe_failure(const struct bake_compute *compute, const char *what,
-                             struct bake_failure failure, char *why)
+static void compute_describe_failure(const struct bake_compute *compute, const char *what,
+                                     struct bake_failure failure, char *why)
 {
     char text[BAKE_COMPUTE_TEXT];
     snprintf(why, BAKE_WHY_BYTES, "%s: %s", what,
@@ -245,10 +245,10 @@ static int compute_load(struct bake_backend *backend, const struct bake_grid_arr
     const char *what;
     int status;
     compute->upload_failure = BAKE_NO_FAILURE;
-    status = load_grid(compute, grid, &what);
+    status = compute_load_grid(compute, grid, &what);
     if (status < 0) {
         (void)compute->calls->finish(compute, upload_stream(compute));
-        describe_failure(compute, what, compute->upload_failure, why);
+        compute_describe_failure(compute, what, compute->upload_failure, why);
     }
     compute->upload_seconds += bsq_seconds_now() - started;
     return status;
@@ -373,9 +373,10 @@ static struct bake_failure open_worker(struct bake_compute *compute, struct bake
 }
 
 /* Enqueues a patch's copies and kernels on the worker's stream and waits for them. */
-static struct bake_failure trace_patch(struct bake_compute *compute, struct bake_stream *stream,
-                                       const struct bk_patch *patch,
-                                       const uint32_t *sample_triangles, float *texels)
+static struct bake_failure compute_trace_patch(struct bake_compute *compute,
+                                               struct bake_stream *stream,
+                                               const struct bk_patch *patch,
+                                               const uint32_t *sample_triangles, float *texels)
 {
     const struct bake_compute_calls *calls = compute->calls;
     const uint64_t texel_count = (uint64_t)patch->width * patch->height;
@@ -409,12 +410,12 @@ static int compute_trace(struct bake_backend *backend, const struct bk_patch *pa
     }
     struct bake_stream *stream = &compute->streams[worker];
     const struct bake_failure failure =
-        trace_patch(compute, stream, patch, sample_triangles, texels);
+        compute_trace_patch(compute, stream, patch, sample_triangles, texels);
     if (failure.code == 0)
         return 0;
     if (!stream->open)
         close_stream(compute, stream);
-    describe_failure(compute, failure.call, failure, why);
+    compute_describe_failure(compute, failure.call, failure, why);
     return BSQ_ENODEVICE;
 }
 
@@ -462,8 +463,8 @@ static int create_streams(struct bake_compute *compute)
             .own = compute->stream_memory + i * stream_bytes, .host_count = 1, .host_bytes = host};
     upload_stream(compute)->host_count = 2;
     upload_stream(compute)->host_bytes = STAGING_BYTES;
-    status = reserve(compute, "page-locked memory",
-                     compute->worker_count * host + 2 * (uint64_t)STAGING_BYTES);
+    status = compute_reserve(compute, "page-locked memory",
+                             compute->worker_count * host + 2 * (uint64_t)STAGING_BYTES);
 done:
     return status;
 }

@@ -58,7 +58,7 @@ static int by_start(const void *a, const void *b)
 }
 
 /* Sorts the spans and merges those that touch. */
-static void merge(struct bake_time_spans *spans)
+static void launches_merge(struct bake_time_spans *spans)
 {
     unsigned kept = 0;
     bsq_sort(spans->spans, spans->count, sizeof *spans->spans, by_start);
@@ -79,7 +79,7 @@ void bake_time_spans_add(struct bake_time_spans *spans, const struct bake_span *
     if (!(span->end > span->start))
         return;
     if (spans->count == BAKE_TIME_SPANS_MAX) {
-        merge(spans);
+        launches_merge(spans);
         if (spans->count > BAKE_TIME_SPANS_MAX / 2) {
             const unsigned early = spans->count - BAKE_TIME_SPANS_MAX / 2;
             for (unsigned i = 0; i < early; i++)
@@ -94,7 +94,7 @@ void bake_time_spans_add(struct bake_time_spans *spans, const struct bake_span *
 double bake_time_spans_seconds(struct bake_time_spans *spans)
 {
     double sum = spans->closed;
-    merge(spans);
+    launches_merge(spans);
     for (unsigned i = 0; i < spans->count; i++)
         sum += spans->spans[i].end - spans->spans[i].start;
     return sum;

@@ -245,8 +245,8 @@ static int kernel_capability(void)
 }
 
 /* Loads the driver and describes a device that can run the kernel. Errors: BSQ_ENODEVICE. */
-static int open_driver(struct bsq_ctx *ctx, uint32_t number, struct bake_cuda_api *api,
-                       struct bake_cuda_device *out)
+static int cuda_open_driver(struct bsq_ctx *ctx, uint32_t number, struct bake_cuda_api *api,
+                            struct bake_cuda_device *out)
 {
     char why[BAKE_WARNING_BYTES], text[BAKE_CUDA_TEXT];
     const int needed = kernel_capability();
@@ -346,7 +346,7 @@ static int load_kernel(struct cuda *cuda, int kernel)
     return bake_compute_fail(&cuda->compute, (struct bake_failure){"cuModuleGetFunction", code});
 }
 
-static struct bake_failure open_context(struct cuda *cuda)
+static struct bake_failure cuda_open_context(struct cuda *cuda)
 {
     CUcontext context;
     CALL(cuDevicePrimaryCtxRetain, &context, cuda->device.device);
@@ -358,13 +358,13 @@ static struct bake_failure open_context(struct cuda *cuda)
     return BAKE_NO_FAILURE;
 }
 
-static int prepare(struct cuda *cuda, const struct bake_job *job)
+static int cuda_prepare(struct cuda *cuda, const struct bake_job *job)
 {
     struct bake_compute *compute = &cuda->compute;
     uint64_t limit;
     int status;
     snprintf(compute->base.name, sizeof compute->base.name, "%.110s (CUDA)", cuda->device.name);
-    BSQ_TRY(bake_compute_fail(compute, open_context(cuda)));
+    BSQ_TRY(bake_compute_fail(compute, cuda_open_context(cuda)));
     BSQ_TRY(load_kernel(cuda, BAKE_PATCH));
     if (bake_ray_count(&job->params) > 0)
         BSQ_TRY(load_kernel(cuda, BAKE_LOOK));
@@ -399,10 +399,10 @@ static int cuda_open(struct bsq_ctx *ctx, uint32_t number, const struct bake_job
     *out = NULL;
     if (status < 0)
         return status;
-    status = open_driver(ctx, number, &cuda->api, &cuda->device);
+    status = cuda_open_driver(ctx, number, &cuda->api, &cuda->device);
     bake_compute_init(&cuda->compute, ctx, cuda->device.name, &calls, cuda_close);
     if (status == 0)
-        status = prepare(cuda, job);
+        status = cuda_prepare(cuda, job);
     if (status < 0)
         cuda_close(&cuda->compute.base);
     else

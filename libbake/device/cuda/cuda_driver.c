@@ -17,7 +17,7 @@ const char bake_cuda_no_kernel[] =
 
 /* Opens the driver. If the linker does not know its directory, opens the PTX compiler beside it
  * too: the driver later asks for the compiler by name alone. */
-static void *open_driver(void)
+static void *cuda_driver_open_driver(void)
 {
     const char *directories[] = {NULL, NULL}, *unused;
     const int flags = RTLD_NOW | RTLD_LOCAL;
@@ -42,7 +42,7 @@ static bool load_functions(void *library, struct bake_cuda_api *api)
 bool bake_cuda_load(struct bake_cuda_api *api, int *count, char *why, bool *faulty)
 {
     const char *visible = getenv("CUDA_VISIBLE_DEVICES");
-    void *library = open_driver();
+    void *library = cuda_driver_open_driver();
     char text[BAKE_CUDA_TEXT];
     *count = 0;
     *faulty = library != NULL;

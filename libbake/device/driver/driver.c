@@ -125,8 +125,8 @@ static bool take_over(const struct answer *answer, struct bake_device_list *out)
 }
 
 /* Finds bisque-devices. Without it there are no devices, rather than no input. */
-static int find_program(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
-                        char path[PATH_MAX])
+static int driver_find_program(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
+                               char path[PATH_MAX])
 {
     char purpose[32];
     int status;
@@ -148,7 +148,7 @@ int bake_probe(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
     struct answer answer;
     char path[PATH_MAX];
     int status;
-    BSQ_TRY(find_program(ctx, kind, path));
+    BSQ_TRY(driver_find_program(ctx, kind, path));
     BSQ_TRY(ask(ctx, kind, path, &answer, &end));
     const bool answered = status == (int)sizeof answer && answer.bytes == sizeof answer &&
                           strcmp(answer.version, BSQ_VERSION) == 0 && take_over(&answer, out);

@@ -25,7 +25,7 @@ int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     return 0;
 }
 
-static void split(uint64_t value, bk_uint words[2])
+static void device_job_split(uint64_t value, bk_uint words[2])
 {
     words[0] = (bk_uint)value;
     words[1] = (bk_uint)(value >> 32);
@@ -53,19 +53,20 @@ void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *p
     params->second_base_low = (bk_uint)(grid->voxel_count + 1);
     params->second_base_high = (bk_uint)((grid->voxel_count + 1) >> 32);
     params->second_count = (bk_uint)(grid->record_count - 1 - grid->voxel_count);
-    split((uint64_t)(grid->uppers - grid->root), params->upper_offset);
-    split((uint64_t)(grid->lowers - grid->uppers), params->lower_offset);
-    split((uint64_t)(grid->leaves - grid->lowers), params->leaf_offset);
+    device_job_split((uint64_t)(grid->uppers - grid->root), params->upper_offset);
+    device_job_split((uint64_t)(grid->lowers - grid->uppers), params->lower_offset);
+    device_job_split((uint64_t)(grid->leaves - grid->lowers), params->leaf_offset);
     params->flags &= ~(bk_uint)(BK_HAS_COLOR | BK_HAS_IDS);
     if (grid->colors)
         params->flags |= BK_HAS_COLOR;
     if (grid->ids)
         params->flags |= BK_HAS_IDS;
-    split(grid->ids && grid->colors ? (uint64_t)(grid->ids - grid->colors) : 0, params->id_offset);
-    split(grid->channels
-              ? (uint64_t)((const uint32_t *)(const void *)grid->channels - first_color(grid))
-              : 0,
-          params->channel_offset);
+    device_job_split(grid->ids && grid->colors ? (uint64_t)(grid->ids - grid->colors) : 0,
+                     params->id_offset);
+    device_job_split(grid->channels ? (uint64_t)((const uint32_t *)(const void *)grid->channels -
+                                                 first_color(grid))
+                                    : 0,
+                     params->channel_offset);
     params->channel_words = grid->channels ? grid->channel_words : 0;
 }
 
@@ -90,8 +91,8 @@ static void set_offsets(const struct fmt_nvdb_grid *grid, struct bk_params *para
 {
     const uint64_t colors = grid->colors ? grid->record_count : 0;
     const uint64_t ids = grid->ids ? grid->record_count : 0;
-    split(grid->ids ? colors : 0, params->id_offset);
-    split(colors + ids, params->channel_offset);
+    device_job_split(grid->ids ? colors : 0, params->id_offset);
+    device_job_split(colors + ids, params->channel_offset);
 }
 
 void bake_list_arrays(const struct bake_job *job, const struct bake_tree *tree,

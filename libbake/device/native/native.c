@@ -71,7 +71,7 @@ static void native_close(struct bake_backend *backend)
 }
 
 /* Makes the tree of leaves, if there are secondary rays and memory for it. */
-static int make_tree(struct native *native, const struct fmt_nvdb_grid *grid)
+static int native_make_tree(struct native *native, const struct fmt_nvdb_grid *grid)
 {
     const unsigned threads = bsq_threads(native->ctx);
     const uint64_t rays = (uint64_t)bk_open_rays(&native->params) + bk_solid_rays(&native->params);
@@ -144,7 +144,7 @@ static int native_open(struct bsq_ctx *ctx, uint32_t number, const struct bake_j
     native->params = job->params;
     native->triangles = job->triangles;
     native->patch = BSQ_SIMD_PICK(bsq_simd_best(), bake_native_patch);
-    status = make_tree(native, job->grid);
+    status = native_make_tree(native, job->grid);
     if (status < 0)
         native_close(&native->base);
     else

@@ -217,8 +217,8 @@ static bk_uint wanted(const struct bake_ray_states *states, uint64_t viewpoint, 
 
 /* Notes what a ray of a viewpoint met, after t voxels. A ray into the solid that is as long as it
  * may be tells nothing of other scans. */
-static void note_hit(const struct view *view, uint64_t viewpoint, const bk_rays *kind, bk_uint ray,
-                     float t)
+static void native_lanes_note_hit(const struct view *view, uint64_t viewpoint, const bk_rays *kind,
+                                  bk_uint ray, float t)
 {
     const struct bake_ray_states *states = view->states;
     if (t < 0.0f || (!kind->open && t >= kind->limit))
@@ -248,7 +248,8 @@ static void look_from(struct view *view, const struct bake_viewpoint *viewpoint,
                                 bk_splat3(bk_v3(from[0], from[1], from[2])), direction,
                                 bk_splat(viewpoint->reversed ? -1.0f : 1.0f), lanes);
         for (bk_uint left = lanes; left; left &= left - 1)
-            note_hit(view, index, &kind, first + bk_first(left), bk_lane(t, bk_first(left)));
+            native_lanes_note_hit(view, index, &kind, first + bk_first(left),
+                                  bk_lane(t, bk_first(left)));
     }
 }
 

@@ -262,8 +262,8 @@ struct boxes {
 
 /* Finds the boxes of a node's children, with a margin for rounding. Returns those that rays of a
  * bundle may meet, one bit each: they touch the box around the rays. */
-static uint32_t find_boxes(const struct bake_tree_tracer *tracer, const struct bundle *bundle,
-                           const struct bake_tree_node *node, struct boxes *boxes)
+static uint32_t rays_find_boxes(const struct bake_tree_tracer *tracer, const struct bundle *bundle,
+                                const struct bake_tree_node *node, struct boxes *boxes)
 {
     const struct bake_tree_ray *ray = &tracer->stream->rays[bundle->rays[0]];
     const eights unit = eights_splat((float)(1u << bake_tree_shift(node)));
@@ -297,7 +297,7 @@ static void test_bundle(struct bake_tree_tracer *tracer, const struct bundle *bu
         BSQ_SIMD_NAME(bake_tree_test_blocks)(tracer);
     if (tracer->nodes > BAKE_TREE_BUNDLE * BAKE_TREE_WIDTH)
         drain_nodes(tracer);
-    for (uint32_t left = find_boxes(tracer, bundle, node, &boxes); left; left &= left - 1) {
+    for (uint32_t left = rays_find_boxes(tracer, bundle, node, &boxes); left; left &= left - 1) {
         const uint32_t child = (uint32_t)__builtin_ctz(left);
         float low[3], high[3];
         for (int axis = 0; axis < 3; axis++) {
@@ -317,7 +317,7 @@ static void test_bundle(struct bake_tree_tracer *tracer, const struct bundle *bu
 }
 
 /* Sends these rays through the tree, BAKE_TREE_BUNDLE at most. */
-static void trace_bundle(struct bake_tree_tracer *tracer, const uint32_t *rays, uint32_t count)
+static void rays_trace_bundle(struct bake_tree_tracer *tracer, const uint32_t *rays, uint32_t count)
 {
     struct bake_tree_stream *stream = tracer->stream;
     struct bundle_entry stack[BAKE_TREE_DEPTH * BAKE_TREE_WIDTH];
@@ -374,8 +374,8 @@ static void trace_rays(struct bake_tree_tracer *tracer)
          section->begin = section->end, section->end = section->end * END_FACTOR) {
         const uint32_t count = list_rays(tracer, list);
         for (uint32_t i = 0; i < count; i += BAKE_TREE_BUNDLE)
-            trace_bundle(tracer, list + i,
-                         count - i < BAKE_TREE_BUNDLE ? count - i : BAKE_TREE_BUNDLE);
+            rays_trace_bundle(tracer, list + i,
+                              count - i < BAKE_TREE_BUNDLE ? count - i : BAKE_TREE_BUNDLE);
         BSQ_SIMD_NAME(bake_tree_test_blocks)(tracer);
         more = count > 0 && section->end < tracer->kind->limit;
     }
@@ -449,8 +449,8 @@ static void add_rays(struct bake_tree_tracer *tracer, const bk_viewpoint *point,
 
 /* Appends rays `first` and following ones of a point, BAKE_TREE_BUNDLE at most. slot: of its first
  * ray. */
-static void add_point(struct bake_tree_tracer *tracer, const bk_viewpoint *point, uint32_t first,
-                      uint32_t slot)
+static void rays_add_point(struct bake_tree_tracer *tracer, const bk_viewpoint *point,
+                           uint32_t first, uint32_t slot)
 {
     const bk_uint left = tracer->kind->count - first;
     const bk_uint end = first + (left < BAKE_TREE_BUNDLE ? left : BAKE_TREE_BUNDLE);
@@ -481,7 +481,7 @@ void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_p
         for (bk_uint first = 0; first < kind->count; first += BAKE_TREE_BUNDLE) {
             if (tracer.rays + BAKE_TREE_BUNDLE > BAKE_TREE_RAYS)
                 trace_rays(&tracer);
-            add_point(&tracer, &points[i], first, (uint32_t)(i * stride));
+            rays_add_point(&tracer, &points[i], first, (uint32_t)(i * stride));
         }
     trace_rays(&tracer);
 }

@@ -42,8 +42,8 @@ static inline void load_leaves(const struct bake_tree *tree, const uint32_t bloc
 }
 
 /* Loads pairs `first` to `first + count - 1`; further lanes repeat the first one. */
-static void load_group(const struct bake_tree_tracer *tracer, uint32_t first, uint32_t count,
-                       struct group *group)
+static void voxels_load_group(const struct bake_tree_tracer *tracer, uint32_t first, uint32_t count,
+                              struct group *group)
 {
     const struct bake_tree_stream *stream = tracer->stream;
     const void *rays[BK_WIDTH];
@@ -101,8 +101,8 @@ static void note_hidden(const struct bake_tree_tracer *tracer, uint32_t number)
 }
 
 /* Notes the hit of a ray in a voxel that it enters at t_event across a border of `axis`. */
-static void note_hit(const struct bake_tree_tracer *tracer, uint32_t number, float t, float t_event,
-                     int32_t axis)
+static void voxels_note_hit(const struct bake_tree_tracer *tracer, uint32_t number, float t,
+                            float t_event, int32_t axis)
 {
     struct bake_tree_ray *ray = &tracer->stream->rays[number];
     if (!tracer->nearest) {
@@ -156,7 +156,7 @@ static void test_voxels(struct bake_tree_tracer *tracer)
         drop_averted(tracer);
     for (uint32_t first = 0; first < tracer->voxels; first += BK_WIDTH) {
         const uint32_t left = tracer->voxels - first;
-        load_group(tracer, first, left < BK_WIDTH ? left : BK_WIDTH, &group);
+        voxels_load_group(tracer, first, left < BK_WIDTH ? left : BK_WIDTH, &group);
         visits->t_event = bk_find_entry(visits, &visits->cursor, &visits->axis);
         visits->t_exit = bk_find_exit(&visits->ray, &visits->cursor, &visits->exit_axis);
         const bk_uint lanes = bk_bits(
@@ -179,8 +179,9 @@ static void test_voxels(struct bake_tree_tracer *tracer)
             bk_stop(&walk, bk_mask_of(coarse), t);
         for (bk_uint found = bk_bits(walk.hit.found) & lanes; found; found &= found - 1) {
             const bk_uint lane = bk_first(found);
-            note_hit(tracer, tracer->stream->voxel_ray[first + lane], bk_lane(walk.hit.t, lane),
-                     bk_lane(visits->t_event, lane), bk_lane(visits->axis, lane));
+            voxels_note_hit(tracer, tracer->stream->voxel_ray[first + lane],
+                            bk_lane(walk.hit.t, lane), bk_lane(visits->t_event, lane),
+                            bk_lane(visits->axis, lane));
         }
     }
     tracer->voxels = 0;
@@ -376,8 +377,8 @@ static bk_uint meet_far_blocks(const struct bake_tree_tracer *tracer,
     for (bk_uint left = met; left; left &= left - 1) {
         const bk_uint lane = bk_first(left);
         /* A doubtful voxel at the same t comes first. */
-        note_hit(tracer, tracer->stream->block_ray[first + lane], bk_lane(t, lane),
-                 bk_lane(t_event, lane), 3);
+        voxels_note_hit(tracer, tracer->stream->block_ray[first + lane], bk_lane(t, lane),
+                        bk_lane(t_event, lane), 3);
     }
     return lanes & bk_bits(doubtful) & (tracer->nearest ? ~0u : ~met);
 }

@@ -264,7 +264,7 @@ static uint64_t memory_limit(const struct opencl *cl)
     return limit;
 }
 
-static struct bake_failure open_context(struct opencl *cl)
+static struct bake_failure opencl_open_context(struct opencl *cl)
 {
     const cl_context_properties properties[] = {CL_CONTEXT_PLATFORM,
                                                 (cl_context_properties)cl->device.platform, 0};
@@ -273,13 +273,13 @@ static struct bake_failure open_context(struct opencl *cl)
     return (struct bake_failure){"clCreateContext", code};
 }
 
-static int prepare(struct opencl *cl, const struct bake_job *job)
+static int opencl_prepare(struct opencl *cl, const struct bake_job *job)
 {
     struct bake_compute *compute = &cl->compute;
     int status;
     snprintf(compute->base.name, sizeof compute->base.name, "%s", cl->device.name);
     compute->shares_memory = cl->device.host_memory;
-    BSQ_TRY(bake_compute_fail(compute, open_context(cl)));
+    BSQ_TRY(bake_compute_fail(compute, opencl_open_context(cl)));
     BSQ_TRY(bake_opencl_build(compute->ctx, &cl->api, &cl->device, cl->context, &cl->program));
     BSQ_TRY(bake_compute_prepare(compute, job, memory_limit(cl), cl->device.buffer_bytes));
     if (compute->base.buffer_bytes > BAKE_MAX_BUFFER_BYTES)
@@ -311,7 +311,7 @@ static int opencl_open(struct bsq_ctx *ctx, uint32_t number, const struct bake_j
         status = bsq_fail(ctx, BSQ_ENODEVICE, "opencl:%u: the device is gone", (unsigned)number);
     bake_compute_init(&cl->compute, ctx, cl->device.name, &calls, opencl_close);
     if (status == 0)
-        status = prepare(cl, job);
+        status = opencl_prepare(cl, job);
     if (status < 0)
         opencl_close(&cl->compute.base);
     else

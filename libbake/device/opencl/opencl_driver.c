@@ -99,8 +99,8 @@ static void describe_groups(const struct bake_opencl_api *api, struct bake_openc
     out->group_sides[1] = sides[1];
 }
 
-static void describe(const struct bake_opencl_api *api, cl_platform_id platform, cl_device_id id,
-                     struct bake_opencl_device *out)
+static void opencl_driver_describe(const struct bake_opencl_api *api, cl_platform_id platform,
+                                   cl_device_id id, struct bake_opencl_device *out)
 {
     char name[256] = "", vendor[256] = "";
     memset(out, 0, sizeof *out);
@@ -153,7 +153,7 @@ bool bake_opencl_device(const struct bake_opencl_api *api, uint32_t index,
                 !device_number(api, devices[d], CL_DEVICE_ENDIAN_LITTLE, 4))
                 continue;
             if (next++ == index) {
-                describe(api, platforms[p], devices[d], out);
+                opencl_driver_describe(api, platforms[p], devices[d], out);
                 return true;
             }
         }

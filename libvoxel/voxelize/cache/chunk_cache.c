@@ -43,7 +43,7 @@ struct vox_chunks {
 
 /* ---- the two steps ---- */
 
-static int read_chunk(struct vox_chunks *c, struct slot *slot)
+static int cache_read_chunk(struct vox_chunks *c, struct slot *slot)
 {
     int status = 0;
     if (!slot->content.memory)
@@ -153,7 +153,7 @@ static bool is_finished(const struct use *use)
 /* Returns a slot to fill: one whose chunk is no longer needed, else a new one, else the one whose
  * chunk is needed last. Returns NULL while all are held. Looking at all slots takes some
  * microseconds, and reading the chunk some milliseconds. */
-static struct slot *find_slot(struct vox_chunks *c)
+static struct slot *cache_find_slot(struct vox_chunks *c)
 {
     struct slot *best = NULL;
     for (uint32_t i = 0; i < c->slots_used; i++) {
@@ -198,8 +198,8 @@ static void leave_slot(struct vox_chunks *c, struct slot *slot)
 
 /* Brings a slot that is in use to a stage: does the step if it is `mine`, else waits until it is
  * done. */
-static int run_step(struct vox_chunks *c, struct slot *slot, bool mine, enum stage stage,
-                    int (*step)(struct vox_chunks *, struct slot *))
+static int cache_run_step(struct vox_chunks *c, struct slot *slot, bool mine, enum stage stage,
+                          int (*step)(struct vox_chunks *, struct slot *))
 {
     if (mine) {
         pthread_mutex_unlock(&c->lock);
@@ -217,13 +217,13 @@ static int run_step(struct vox_chunks *c, struct slot *slot, bool mine, enum sta
 /* Does or awaits both steps. fresh: the first step is the caller's. */
 static int make_ready(struct vox_chunks *c, struct slot *slot, bool fresh)
 {
-    int status = run_step(c, slot, fresh, STAGE_READ, read_chunk);
+    int status = cache_run_step(c, slot, fresh, STAGE_READ, cache_read_chunk);
     if (status < 0)
         return status;
     bool finish = slot->stage == STAGE_READ;
     if (finish)
         slot->stage = STAGE_FINISHING;
-    return run_step(c, slot, finish, STAGE_READY, finish_chunk);
+    return cache_run_step(c, slot, finish, STAGE_READY, finish_chunk);
 }
 
 /* Lends a chunk as it is in the file. Lends nothing if the chunk has no slot and is needed later
@@ -237,14 +237,14 @@ static int lend(void *arg, uint32_t chunk, struct vox_loan *out)
     pthread_mutex_lock(&c->lock);
     bool fresh = use->slot == NO_SLOT;
     if (fresh) {
-        struct slot *slot = find_slot(c);
+        struct slot *slot = cache_find_slot(c);
         if (slot && (slot->chunk == NO_CHUNK || !needed_before(c, slot->chunk, chunk)))
             give_slot(c, slot, chunk);
     }
     if (use->slot != NO_SLOT) {
         struct slot *slot = &c->slots[use->slot];
         slot->users++;
-        status = run_step(c, slot, fresh, STAGE_READ, read_chunk);
+        status = cache_run_step(c, slot, fresh, STAGE_READ, cache_read_chunk);
         if (status < 0)
             leave_slot(c, slot);
         else
@@ -277,7 +277,7 @@ static uint32_t next_unready(const struct vox_chunks *c)
 /* Gives the chunk a slot that no unit under way needs, if there is one. */
 static bool give_spare_slot(struct vox_chunks *c, uint32_t chunk)
 {
-    struct slot *slot = find_slot(c);
+    struct slot *slot = cache_find_slot(c);
     if (!slot || (slot->chunk != NO_CHUNK &&
                   (c->uses[slot->chunk].expected > 0 || needed_before(c, slot->chunk, chunk))))
         return false;
@@ -313,7 +313,7 @@ static struct slot *take_slot(struct vox_chunks *c, uint32_t chunk, bool *fresh)
     struct slot *slot;
     *fresh = false;
     while (use->slot == NO_SLOT) {
-        if ((slot = find_slot(c)) != NULL) {
+        if ((slot = cache_find_slot(c)) != NULL) {
             give_slot(c, slot, chunk);
             *fresh = true;
         } else {

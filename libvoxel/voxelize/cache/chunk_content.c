@@ -10,8 +10,9 @@
 
 /* Returns the layout for a chunk, or for the largest one. load_bytes: what fmt_tris_load()
  * needs. */
-static struct vox_chunk_layout lay_out(const struct fmt_tris_file *file, bool smooth,
-                                       uint64_t load_bytes, uint32_t vertices, uint32_t triangles)
+static struct vox_chunk_layout content_lay_out(const struct fmt_tris_file *file, bool smooth,
+                                               uint64_t load_bytes, uint32_t vertices,
+                                               uint32_t triangles)
 {
     bool normals = smooth || (fmt_tris_get_header(file)->attributes & FMT_TRIS_NORMALS);
     uint64_t groups = vox_group_count(triangles, VOX_GROUP_TRIANGLES);
@@ -34,8 +35,8 @@ static struct vox_chunk_layout lay_out(const struct fmt_tris_file *file, bool sm
 static struct vox_chunk_layout layout_of(const struct vox_chunk_source *from, uint32_t chunk)
 {
     const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(from->file)[chunk];
-    return lay_out(from->file, from->smooth != NULL, fmt_tris_load_size(from->file, chunk),
-                   info->vertex_count, info->triangle_count);
+    return content_lay_out(from->file, from->smooth != NULL, fmt_tris_load_size(from->file, chunk),
+                           info->vertex_count, info->triangle_count);
 }
 
 uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
@@ -47,7 +48,7 @@ uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
         vertices = infos[i].vertex_count > vertices ? infos[i].vertex_count : vertices;
         triangles = infos[i].triangle_count > triangles ? infos[i].triangle_count : triangles;
     }
-    return lay_out(file, smooth, fmt_tris_load_size_max(file), vertices, triangles).bytes;
+    return content_lay_out(file, smooth, fmt_tris_load_size_max(file), vertices, triangles).bytes;
 }
 
 /* ---- index space and groups ----
@@ -201,8 +202,8 @@ struct turn {
     double normals, lengths; /* squares of the differences of normals, and of points */
 };
 
-static void add_triangle(const struct vox_own_normals *of, const uint32_t v[3],
-                         struct contradiction *sum, struct turn *turn)
+static void content_add_triangle(const struct vox_own_normals *of, const uint32_t v[3],
+                                 struct contradiction *sum, struct turn *turn)
 {
     double edge[3][3], rise[3], across[3];
     for (int i = 0; i < 3; i++) {
@@ -241,7 +242,7 @@ bool vox_own_normals_inconsistent(const struct vox_own_normals *of, uint32_t beg
     struct turn turn = {.normals = 0.0};
     double squares = 0.0, area = 0.0;
     for (uint32_t t = begin; t < end; t++) {
-        add_triangle(of, of->triangles[t], &sum, &turn);
+        content_add_triangle(of, of->triangles[t], &sum, &turn);
         if (sum.area < 1.0 && t + 1 < end)
             continue;
         squares += square_of(&sum);

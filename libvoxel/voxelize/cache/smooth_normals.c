@@ -56,7 +56,7 @@ struct layout {
         scratch_at, bytes;
 };
 
-static struct layout lay_out(const struct fmt_tris_file *file)
+static struct layout smooth_lay_out(const struct fmt_tris_file *file)
 {
     const uint64_t vertices = largest_vertex_count(file);
     const uint64_t numbers = bsq_align_up((vertices + 1) * sizeof(uint32_t), BSQ_ALIGNMENT);
@@ -98,7 +98,7 @@ int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                       struct vox_smooth **out)
 {
     struct vox_smooth *s = NULL;
-    const struct layout at = lay_out(file);
+    const struct layout at = smooth_lay_out(file);
     const uint64_t most = bytes / (sizeof(struct workspace) + at.bytes);
     int status;
     *out = NULL;
@@ -241,7 +241,7 @@ struct sums {
     struct vox_box box;   /* voxels of these bounds */
 };
 
-static bool touches(const struct fmt_tris_chunk_info *info, const struct sums *n)
+static bool smooth_touches(const struct fmt_tris_chunk_info *info, const struct sums *n)
 {
     bool yes = true;
     for (int k = 0; k < 3; k++)
@@ -251,7 +251,7 @@ static bool touches(const struct fmt_tris_chunk_info *info, const struct sums *n
 
 /* Finds a neighbour's vertices among those of the chunk. Vertices at the same position lie in the
  * same voxel. */
-static bool match(const struct sums *n, const struct vox_loan *loan)
+static bool smooth_match(const struct sums *n, const struct vox_loan *loan)
 {
     const struct fmt_tris_chunk *chunk = loan->chunk;
     uint32_t *rings = n->d->neighbour_rings;
@@ -266,8 +266,8 @@ static bool match(const struct sums *n, const struct vox_loan *loan)
 }
 
 /* Does the step for triangles that meet a box. ring_of: of the chunk's vertices. */
-static void add_triangles(const struct sums *n, const struct vox_loan *of,
-                          const struct vox_box *box, const uint32_t *ring_of)
+static void smooth_add_triangles(const struct sums *n, const struct vox_loan *of,
+                                 const struct vox_box *box, const uint32_t *ring_of)
 {
     vox_add_one_rings_fn *const add = BSQ_SIMD_PICK(bsq_simd_best(), vox_add_one_rings);
     vox_divide_one_rings_fn *const divide = BSQ_SIMD_PICK(bsq_simd_best(), vox_divide_one_rings);
@@ -280,7 +280,7 @@ static void add_triangles(const struct sums *n, const struct vox_loan *of,
                    &d->creases);
 }
 
-static int add_chunk(const struct sums *n, uint32_t other)
+static int smooth_add_chunk(const struct sums *n, uint32_t other)
 {
     struct fmt_tris_chunk own = {0};
     struct vox_loan loan;
@@ -292,8 +292,8 @@ static int add_chunk(const struct sums *n, uint32_t other)
         return status;
     if (!lent)
         loan = (struct vox_loan){.chunk = &own};
-    if (loan.chunk->positions && match(n, &loan))
-        add_triangles(n, &loan, &n->box, n->d->neighbour_rings);
+    if (loan.chunk->positions && smooth_match(n, &loan))
+        smooth_add_triangles(n, &loan, &n->box, n->d->neighbour_rings);
     if (lent)
         n->lender->take_back(n->lender->arg, other);
     return 0;
@@ -307,10 +307,10 @@ static int visit_chunks(const struct sums *n)
     int status = 0;
     for (uint32_t i = 0; i < count && status == 0; i++) {
         if (i == n->of->index)
-            add_triangles(n, &n->of->decoded, n->step == STEP_SUM ? NULL : &n->box,
-                          n->d->own_rings);
-        else if (touches(&infos[i], n))
-            status = add_chunk(n, i);
+            smooth_add_triangles(n, &n->of->decoded, n->step == STEP_SUM ? NULL : &n->box,
+                                 n->d->own_rings);
+        else if (smooth_touches(&infos[i], n))
+            status = smooth_add_chunk(n, i);
     }
     return status;
 }
@@ -347,7 +347,7 @@ void vox_second_unpack(double packed, float second[4])
 }
 
 /* Finds the one-rings at corners of large triangles. */
-static void find_candidates(const struct sums *n, float extent)
+static void smooth_find_candidates(const struct sums *n, float extent)
 {
     const struct fmt_tris_chunk *chunk = n->of->decoded.chunk;
     bool *candidates = n->d->candidates;
@@ -401,7 +401,7 @@ static bool next_batch(struct sums *n, const struct vox_transform *transform, st
 }
 
 /* Divides one-rings, and prepares the sums of second sides. Returns whether there are any. */
-static bool divide_rings(const struct sums *n, const struct batch *batch)
+static bool smooth_divide_rings(const struct sums *n, const struct batch *batch)
 {
     const struct vox_creases *c = &n->d->creases;
     bool any = false;
@@ -441,11 +441,11 @@ static int find_creases(struct sums *n, const struct vox_transform *transform, f
     uint32_t *crease_of = n->d->creases.crease_of;
     int status = 0;
     memset(crease_of, 0, (count + 1) * sizeof *crease_of);
-    find_candidates(n, n->of->crease_extent);
+    smooth_find_candidates(n, n->of->crease_extent);
     for (struct batch batch = {0}; next_batch(n, transform, &batch);) {
         n->step = STEP_FARTHEST;
         BSQ_TRY(visit_chunks(n));
-        if (divide_rings(n, &batch)) {
+        if (smooth_divide_rings(n, &batch)) {
             n->step = STEP_SIDES;
             BSQ_TRY(visit_chunks(n));
             finish_creases(n, &batch, transform->h, normals, points);

@@ -55,9 +55,9 @@ struct textured {
 
 /* Replaces the sum of a fragment's normal by that of the normal map. The triangle's plane does not
  * predict it. */
-static __attribute__((noinline)) void add_normal_map(const struct block_facts *facts,
-                                                     const struct textured *from, double area,
-                                                     struct row *normal)
+static __attribute__((noinline)) void clip_add_normal_map(const struct block_facts *facts,
+                                                          const struct textured *from, double area,
+                                                          struct row *normal)
 {
     const double *flat = facts->row[ROW_FLAT];
     double edge[2][3], n[4];
@@ -118,7 +118,7 @@ LANES_INLINE int add_fragment(const struct source *from, const struct block_fact
         shade_flat(facts, fragment, cell, &sum);
     if (mapped) {
         const uint32_t voxel = fragment->voxel & VOX_LINK_NUMBER;
-        add_normal_map(facts, textured, fragment->area, &sum.normal);
+        clip_add_normal_map(facts, textured, fragment->area, &sum.normal);
         if (!vox_accumulator_sum(from->sums, voxel | vox_class_bits(sum.normal), &number))
             return VOX_REGION_FULL;
     }
@@ -321,8 +321,8 @@ static void set_uv(struct single *s, const struct vox_chunk *chunk, const uint32
 }
 
 /* Finds what of a triangle comes from textures. Returns whether something does. */
-static bool find_textures(struct single *s, const struct vox_shading *shading,
-                          const struct fmt_tris_chunk *chunk, uint32_t triangle)
+static bool clip_find_textures(struct single *s, const struct vox_shading *shading,
+                               const struct fmt_tris_chunk *chunk, uint32_t triangle)
 {
     s->material = fmt_shading_material(&shading->scan, chunk, triangle);
     const bool any = shading->textured && shading->textured[s->material];
@@ -364,7 +364,7 @@ static __attribute__((noinline)) int add_alone(const struct vox_accumulation *jo
     }
     load_triangles(job, places, &s.triangles, lowest);
     s.area = s.triangles.area[0];
-    if (find_textures(&s, job->shading, &chunk->source, triangle->number)) {
+    if (clip_find_textures(&s, job->shading, &chunk->source, triangle->number)) {
         set_uv(&s, chunk, v);
         clip.uv = (const double(*)[2])s.uv;
     }
@@ -383,7 +383,7 @@ static bool contains(const struct vox_box *box, const int32_t cell[3])
 }
 
 /* Adds the block's triangles, and empties the block. */
-static int add_block(const struct vox_accumulation *job)
+static int clip_add_block(const struct vox_accumulation *job)
 {
     struct vox_fragment_block *block = job->block;
     uint32_t counts[KIND_COUNT] = {0}, begin = 0;
@@ -460,7 +460,7 @@ static int add_group(const struct vox_accumulation *job, uint32_t begin, uint32_
             fragments = (uint32_t)((planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1));
         }
         if (fragments > *capacity || block->triangle_count == BLOCK_TRIANGLES) {
-            status = add_block(job);
+            status = clip_add_block(job);
             *capacity = BLOCK_FRAGMENTS;
         }
         *capacity -= fragments;
@@ -489,5 +489,5 @@ int BSQ_SIMD_NAME(vox_accumulate_chunk)(const struct vox_accumulation *job, uint
         if (contains(job->window, bounds->lo))
             *counted += end - begin;
     }
-    return status == 0 ? add_block(job) : status;
+    return status == 0 ? clip_add_block(job) : status;
 }

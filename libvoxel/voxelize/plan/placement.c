@@ -128,7 +128,7 @@ static struct vox_box run_box(const struct vox_transform *transform,
     return vox_transform_box(transform, min, max);
 }
 
-static int add_box(struct maker *maker, uint32_t chunk, const struct vox_box *box)
+static int placement_add_box(struct maker *maker, uint32_t chunk, const struct vox_box *box)
 {
     int status = bsq_grow(maker->ctx, "chunk boxes", maker->count + 1, sizeof *maker->boxes,
                           &maker->boxes, &maker->capacity);
@@ -143,15 +143,15 @@ static bool is_wide(const struct vox_box *box)
     return vox_region_count(box) > FEW_REGIONS;
 }
 
-static int add_run(struct maker *maker, uint32_t number, const struct fmt_tris_chunk *chunk,
-                   uint32_t begin, uint32_t end)
+static int placement_add_run(struct maker *maker, uint32_t number,
+                             const struct fmt_tris_chunk *chunk, uint32_t begin, uint32_t end)
 {
     struct vox_box box = run_box(maker->transform, chunk, begin, end);
     if (end - begin == 1 || maker->count >= maker->most || !is_wide(&box))
-        return add_box(maker, number, &box);
+        return placement_add_box(maker, number, &box);
     uint32_t middle = begin + (end - begin) / 2;
-    int status = add_run(maker, number, chunk, begin, middle);
-    return status < 0 ? status : add_run(maker, number, chunk, middle, end);
+    int status = placement_add_run(maker, number, chunk, begin, middle);
+    return status < 0 ? status : placement_add_run(maker, number, chunk, middle, end);
 }
 
 int vox_chunk_boxes_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
@@ -172,8 +172,8 @@ int vox_chunk_boxes_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file
         if (wide && status == 0 && (status = bsq_check(ctx)) == 0)
             status = fmt_tris_load(file, i, scratch, &chunk);
         if (status == 0)
-            status = wide ? add_run(&maker, (uint32_t)i, &chunk, 0, chunk.triangle_count)
-                          : add_box(&maker, (uint32_t)i, &bounds[i]);
+            status = wide ? placement_add_run(&maker, (uint32_t)i, &chunk, 0, chunk.triangle_count)
+                          : placement_add_box(&maker, (uint32_t)i, &bounds[i]);
     }
     bsq_free(ctx, scratch);
     if (status < 0)

@@ -72,7 +72,7 @@ static int32_t region_of(int32_t voxel)
     return voxel >> VOX_REGION_LOG2;
 }
 
-static int32_t tile_of(int32_t region)
+static int32_t schedule_tile_of(int32_t region)
 {
     return region >> TILE_LOG2;
 }
@@ -111,8 +111,9 @@ vox_region_key vox_region_first(const struct vox_box *box)
 {
     int32_t region[3];
     for (int a = 0; a < 3; a++)
-        region[a] = enter_tile(
-            box, a, first_tile(tile_of(region_of(box->lo[a])), tile_of(region_of(box->hi[a]))));
+        region[a] = enter_tile(box, a,
+                               first_tile(schedule_tile_of(region_of(box->lo[a])),
+                                          schedule_tile_of(region_of(box->hi[a]))));
     return make_key(region);
 }
 
@@ -121,16 +122,17 @@ static vox_region_key region_after(const struct vox_box *box, vox_region_key key
     int32_t region[3];
     split_key(key, region);
     for (int a = 2; a >= 0; a--) {
-        int32_t tile = tile_of(region[a]);
-        if (region[a] < region_of(box->hi[a]) && tile_of(region[a] + 1) == tile) {
+        int32_t tile = schedule_tile_of(region[a]);
+        if (region[a] < region_of(box->hi[a]) && schedule_tile_of(region[a] + 1) == tile) {
             region[a]++;
             return make_key(region);
         }
         region[a] = enter_tile(box, a, tile);
     }
     for (int a = 2; a >= 0; a--) {
-        int32_t lo = tile_of(region_of(box->lo[a])), hi = tile_of(region_of(box->hi[a]));
-        int32_t tile = tile_of(region[a]);
+        int32_t lo = schedule_tile_of(region_of(box->lo[a])),
+                hi = schedule_tile_of(region_of(box->hi[a]));
+        int32_t tile = schedule_tile_of(region[a]);
         if (next_tile(lo, hi, &tile)) {
             region[a] = enter_tile(box, a, tile);
             return make_key(region);
@@ -148,7 +150,7 @@ static bool entry_before(const struct entry *a, const struct entry *b)
 }
 
 /* Puts `entry` into the hole at `at` and moves smaller children up. */
-static void sift_down(struct vox_schedule *s, uint64_t at, struct entry entry)
+static void schedule_sift_down(struct vox_schedule *s, uint64_t at, struct entry entry)
 {
     for (uint64_t child; (child = 2 * at + 1) < s->count; at = child) {
         if (child + 1 < s->count && entry_before(&s->heap[child + 1], &s->heap[child]))
@@ -180,7 +182,7 @@ int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_chunk_box *boxes, 
         s->heap[s->count++] = (struct entry){s->keys[i], i};
     }
     for (uint64_t i = s->count / 2; i-- > 0;)
-        sift_down(s, i, s->heap[i]);
+        schedule_sift_down(s, i, s->heap[i]);
     *out = s;
     return 0;
 done:
@@ -206,7 +208,7 @@ bool vox_schedule_next(struct vox_schedule *s, vox_region_key *key)
 }
 
 /* Moves the first box of the heap to its next region. */
-static void advance(struct vox_schedule *s)
+static void schedule_advance(struct vox_schedule *s)
 {
     struct entry entry = s->heap[0];
     const struct vox_box *box = &s->boxes[entry.box].box;
@@ -214,7 +216,7 @@ static void advance(struct vox_schedule *s)
     if (entry.key == VOX_REGION_KEY_NEVER)
         entry = s->heap[--s->count];
     if (s->count > 0)
-        sift_down(s, 0, entry);
+        schedule_sift_down(s, 0, entry);
 }
 
 /* Returns the next region of the chunk that box `i` belongs to. */
@@ -237,7 +239,7 @@ bool vox_schedule_chunk(struct vox_schedule *s, uint32_t *chunk, vox_region_key 
     const uint64_t box = s->heap[0].box;
     *chunk = s->boxes[box].chunk;
     while (s->count > 0 && s->heap[0].key <= s->current && s->boxes[s->heap[0].box].chunk == *chunk)
-        advance(s);
+        schedule_advance(s);
     *after = next_of_chunk(s, box);
     return true;
 }

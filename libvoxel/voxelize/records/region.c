@@ -242,9 +242,9 @@ static void make_channels(const struct vox_accumulator *a, const uint32_t *numbe
     }
 }
 
-static void append_records(const struct vox_accumulator *a, const uint32_t *numbers, uint32_t count,
-                           const struct vox_color_tables *tables, struct vox_records *to,
-                           uint64_t *clamped)
+static void region_append_records(const struct vox_accumulator *a, const uint32_t *numbers,
+                                  uint32_t count, const struct vox_color_tables *tables,
+                                  struct vox_records *to, uint64_t *clamped)
 {
     struct fmt_nvdb_record *records = to->records + to->count;
     BSQ_SIMD_PICK(bsq_simd_best(), vox_make_records)(a->sums, numbers, count, records);
@@ -287,8 +287,8 @@ static void finish_brick(const struct vox_accumulator *a, uint32_t brick,
     struct fmt_nvdb_record *records = leaves->sides[0].records + leaves->sides[0].count;
     for (int s = 0; s < 2; s++)
         if (chosen.count[s] > 0)
-            append_records(a, chosen.numbers[s], chosen.count[s], tables, &leaves->sides[s],
-                           &leaves->clamped_colors);
+            region_append_records(a, chosen.numbers[s], chosen.count[s], tables, &leaves->sides[s],
+                                  &leaves->clamped_colors);
     for (uint32_t i = 0; chosen.count[1] > 0 && i < chosen.count[0]; i++)
         records[i].plane |= chosen.has_second[i] ? FMT_NVDB_PLANE_SECOND : 0;
     leaves->ids[leaves->leaf_count++] = (uint16_t)brick;

@@ -44,7 +44,7 @@ struct voxel_sums {
 };
 
 /* Collects the sums of the voxel whose first sum this is, and unlinks them. */
-static void collect(struct vox_accumulator *a, uint32_t first, struct voxel_sums *voxel)
+static void sides_collect(struct vox_accumulator *a, uint32_t first, struct voxel_sums *voxel)
 {
     uint32_t of_class[VOX_CLASSES] = {0}, number = first;
     do {
@@ -180,7 +180,7 @@ static void settle_voxel(struct vox_accumulator *a, uint32_t first)
     struct voxel_sums voxel;
     if (settle_pair(a, first))
         return;
-    collect(a, first, &voxel);
+    sides_collect(a, first, &voxel);
     uint32_t second_bits = second_side(&voxel), second = 0;
     for (uint32_t i = 0; i < voxel.count; i++)
         if (voxel.numbers[i] == first && (second_bits >> i & 1))

@@ -8,7 +8,7 @@
 TEST(test_entries_that_are_changed_are_skipped)
 {
     struct bsq_map_range range = {0};
-    set_range(&range, 1000, 9000);
+    map_set_range(&range, 1000, 9000);
     assert_int_equal(end_around(&range, 5000), 9000);
     assert_int_equal(end_around(&range, 999), 0);
     assert_int_equal(end_around(&range, 9000), 0);
