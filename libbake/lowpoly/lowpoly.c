@@ -523,14 +523,13 @@ static int load_file(struct bsq_ctx *ctx, const struct bake_options *options, co
     if (status < 0)
         return status;
     if (mesh.has_tangents)
-        bsq_warn(ctx, "%s: the file's tangents are not used: they are computed (MikkTSpace)",
-                 options->mesh_path);
+        bsq_warn(ctx, "%s: the file's tangents are not used: they are computed (MikkTSpace)", path);
     if (mesh.uneven_scale)
         bsq_warn(
             ctx,
             "%s: a node has scales that differ by axis; engines make tangents before scaling, so "
             "their shading will be off by some degrees: apply the scale before baking",
-            options->mesh_path);
+            path);
     bake_transform_mesh(options, &mesh);
     BSQ_TRY(lowpoly_allocate(ctx, mesh.triangle_count, out));
     out->triangle_count = mesh.triangle_count;

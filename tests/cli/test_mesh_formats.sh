@@ -421,6 +421,9 @@ for scale in 2,2,2 2,1,2; do
         "$([ $scale = 2,1,2 ] && echo 1 || echo 0)" ]
     check "warning of scales: $scale" $?
 done
+ok run bisque-bake scan.nvdb low.plain.glb scaled.gltf -o a.exr --maps normal --size 16 --as-is
+[ "$(grep -c "warning: scaled.gltf: \(the file's tangents\|a node has scales\)" "$err")" -eq 2 ]
+check "warnings name the low-poly file that they are about" $?
 
 # FBX, COLLADA and such files, which Assimp reads. In 3DS files squares are cut along other diagonals.
 meshes=$top/tests/meshes

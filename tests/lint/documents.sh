@@ -14,6 +14,11 @@ for page in $(grep -rohE 'docs/decisions/[0-9]{4}[a-z0-9-]*\.md' base formats li
     tools tests man *.md | sort -u); do
     [ -e "$page" ] || complain "$page does not exist"
 done
+# "decisions/0001 and 0002", as sources and pages say it.
+for number in $(grep -rohE 'decisions?[/ ][0-9]{4}((,| and) [0-9]{4})*' base formats libvoxel libbake tools \
+    tests man docs *.md | grep -oE '[0-9]{4}' | sort -u); do
+    ls docs/decisions/"$number"-*.md >/dev/null 2>&1 || complain "there is no decision $number"
+done
 for number in $(ls docs/decisions | cut -c1-4 | uniq -d); do
     complain "several decisions have the number $number"
 done
