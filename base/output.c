@@ -3,7 +3,7 @@
  * If the file system supports it (O_TMPFILE), the file has no name until it is complete and on the
  * disk: whatever ends the process, nothing is left. It gets a temporary name only to be renamed at
  * once, as a link cannot replace a file. On other file systems it has a temporary name from the
- * start, which the next job with this output removes; see temp_internal.h. */
+ * start, which the next job with this output removes; see temp.c. */
 #include <assert.h>
 #include <errno.h>
 #include <fcntl.h>

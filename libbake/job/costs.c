@@ -1,7 +1,7 @@
 /* costs.c - estimates what a bake or a task of a plan needs: memory, temporary files, time.
  *
  * A plan's id covers these numbers. So they follow from the inputs and options alone, not from
- * the budget and the threads of the program that writes the plan. decisions/0033 and 0078 have the
+ * the budget and the threads of the program that writes the plan. decisions/0033 has the
  * measurements. */
 #include <math.h>
 

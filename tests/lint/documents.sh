@@ -1,5 +1,5 @@
 #!/bin/sh
-# Checks that links between documents and names of decisions in sources lead to files, and that
+# Checks that links between documents and names of decisions and headers in sources lead to files, and that
 # each decision has its own number.
 cd "$(dirname "$0")/../.." || exit 1
 bad=0
@@ -18,6 +18,11 @@ done
 for number in $(grep -rohE 'decisions?[/ ][0-9]{4}((,| and) [0-9]{4})*' base formats libvoxel libbake tools \
     tests man docs *.md | grep -oE '[0-9]{4}' | sort -u); do
     ls docs/decisions/"$number"-*.md >/dev/null 2>&1 || complain "there is no decision $number"
+done
+# Headers that comments name.
+for header in $(grep -rhE --include='*.[ch]' '^ *(/\*| \*) ' base formats libvoxel libbake tools tests |
+    grep -oE '(see|See|of) [a-z0-9_/]*[a-z0-9_]\.h\b' | sed 's/.*[ /]//' | sort -u); do
+    [ -n "$(git ls-files "$header" "*/$header")" ] || complain "a comment names $header, which does not exist"
 done
 for number in $(ls docs/decisions | cut -c1-4 | uniq -d); do
     complain "several decisions have the number $number"

@@ -1,4 +1,4 @@
-/* test_obj_batches.c - results do not depend on where batches begin or on the number of threads;
+/* test_obj_blocks.c - results do not depend on where batches begin or on the number of threads;
  * files that are truncated anywhere, and too little memory, give errors. */
 #include <inttypes.h>
 
