@@ -215,6 +215,13 @@ unset OCL_ICD_VENDORS
 
 # ---- the program that asks drivers is missing, or of another version ----
 
+if sanitized; then
+    skip "an answer that cannot be read" "sanitizers want to be loaded first"
+else
+    LD_PRELOAD=$TESTS/faults.so FAULT_UNDER='/memfd:devices (deleted)' FAULT_CALLS=read FAULT_AT=1 \
+        FAULT_DO=EIO run bisque-bake --device cuda --size 16 --maps mask vase.nvdb low.obj -o x.exr
+    refused_like 69 "^$p CUDA cannot be used: the answer of .*bisque-devices: Input/output error$"
+fi
 mkdir -p moved/bin moved/lib/bisque
 cp "$BIN/bisque-bake" moved/bin
 BIN=$PWD/moved/bin

@@ -86,6 +86,9 @@ static int ask(struct bsq_ctx *ctx, const struct bake_device_kind *kind, char *p
                           kind->drivers, path, strerror(end->error));
     if (!status)
         status = (int)pread(file, out, sizeof *out, 0);
+    if (status == -1)
+        status = bsq_fail(ctx, BSQ_ENODEVICE, "%s cannot be used: the answer of %s: %s",
+                          kind->drivers, path, strerror(errno));
     if (file >= 0)
         close(file);
     out->version[sizeof out->version - 1] = '\0';
