@@ -267,8 +267,8 @@ uint64_t bsq_memory_share(struct bsq_ctx *ctx, const char *name, uint64_t diviso
 /** Notes a share that was computed in another way. */
 void bsq_note_share(struct bsq_ctx *ctx, const char *name, uint64_t bytes);
 
-/** Calls `fn` with `arg` for each name that was noted, in the order of their first calls,
- * with the largest share that it got. */
+/** Calls `fn` with `arg` for each name that was noted before this call, in the order of their first
+ * calls, with the largest share that it got. */
 void bsq_memory_shares(struct bsq_ctx *ctx, void (*fn)(void *arg, const char *name, uint64_t bytes),
                        void *arg);
 

@@ -139,9 +139,13 @@ uint64_t bsq_memory_share(struct bsq_ctx *ctx, const char *name, uint64_t diviso
 void bsq_memory_shares(struct bsq_ctx *ctx, void (*fn)(void *arg, const char *name, uint64_t bytes),
                        void *arg)
 {
-    const struct shares *shares = ctx->members[BSQ_SHARES].object;
-    for (unsigned i = 0; shares && i < shares->count; i++)
-        fn(arg, shares->list[i].name, shares->list[i].bytes);
+    struct shares shares = {.count = 0}; /* a copy: `fn` may note others */
+    pthread_mutex_lock(&ctx->members_lock);
+    if (ctx->members[BSQ_SHARES].object)
+        shares = *(const struct shares *)ctx->members[BSQ_SHARES].object;
+    pthread_mutex_unlock(&ctx->members_lock);
+    for (unsigned i = 0; i < shares.count; i++)
+        fn(arg, shares.list[i].name, shares.list[i].bytes);
 }
 
 /* ---- blocks ---- */

@@ -406,6 +406,24 @@ TEST(test_shares_are_noted_with_their_largest_size)
     bsq_ctx_destroy(ctx);
 }
 
+static void note_another(void *arg, const char *name, uint64_t bytes)
+{
+    (void)name;
+    bsq_note_share(arg, bytes == 1 ? "second" : "third", bytes + 1);
+}
+
+TEST(test_shares_may_be_noted_while_they_are_listed)
+{
+    struct bsq_ctx *ctx;
+    char text[256] = "";
+    assert_int_equal(bsq_ctx_create(NULL, &ctx), 0);
+    bsq_note_share(ctx, "first", 1);
+    bsq_memory_shares(ctx, note_another, ctx);
+    bsq_memory_shares(ctx, join_share, text);
+    assert_string_equal(text, "first 1;second 2;");
+    bsq_ctx_destroy(ctx);
+}
+
 /* ---- octahedral normals ---- */
 
 static double angle_degrees(struct bsq_vec3 a, struct bsq_vec3 b)
