@@ -331,6 +331,9 @@ int bake_look(struct bsq_ctx *ctx, struct bake_options *options, const bool *giv
  * 16 texels of padding, tangent space, any device. */
 void bake_defaults(struct bake_options *options);
 
+/** At least the number of rows of bake_option_rows(), for arrays with an element for each. */
+enum { BAKE_MOST_OPTION_ROWS = 96 };
+
 /** Returns the table of the options, with *count rows: defaults, values, and the options of
  * bisque-bake that set the members. */
 const struct bsq_option *bake_option_rows(size_t *count);

@@ -5,8 +5,6 @@
 #include "libbake/bake.h"
 #include "tools/bake_farm.h"
 
-enum { BAKE_MOST_ROWS = 64 };
-
 /* A list of transfer maps; the names are owned. */
 struct bake_transfers {
     struct bake_transfer *maps;
@@ -15,7 +13,7 @@ struct bake_transfers {
 
 struct bake_arguments {
     struct bake_options bake;
-    bool given[BAKE_MOST_ROWS]; /* by rows of bake_option_rows() */
+    bool given[BAKE_MOST_OPTION_ROWS]; /* by rows of bake_option_rows() */
     struct bake_transfers transfers;
     struct bake_transfers textures; /* of --texture NAME=FILE */
     struct bake_pack *packs;        /* their texts are owned */

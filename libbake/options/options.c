@@ -43,7 +43,8 @@ static const char *lacks(uint32_t need, const struct bake_options *options,
     case PREVIEW:
         return options->preview_path || options->page_path ? NULL : "--preview or --report";
     case GPU:
-        return strcmp(options->device, "cpu") != 0 ? NULL : "a device other than cpu";
+        return !options->device || strcmp(options->device, "cpu") != 0 ? NULL
+                                                                       : "a device other than cpu";
     case GRID_TO_SAMPLE: /* the nearest voxel of triangles is an error later */
         return scans->grid || options->sampling == BAKE_NEAREST ? NULL : "a grid";
     case GRID:
@@ -239,6 +240,7 @@ static const struct bsq_option table[] = {
      MEMBER(BYTES, gpu_memory_bytes), .needs = GPU | GRID},
 };
 enum { ROWS = sizeof table / sizeof *table };
+_Static_assert((int)ROWS <= (int)BAKE_MOST_OPTION_ROWS, "bisque-bake has a flag for each row");
 
 const struct bsq_option *bake_option_rows(size_t *count)
 {

@@ -97,6 +97,22 @@ static bool place(uint32_t x, uint32_t y, double inset, double *u, double *v)
     return s > low && s < 1 - low && t > low && t < 1 - low;
 }
 
+/* ---- options ---- */
+
+TEST(test_a_device_that_the_library_chooses)
+{
+    bool given[BAKE_MOST_OPTION_ROWS];
+    struct bake_options options = options_for("x.exr");
+    struct bsq_ctx *ctx;
+    size_t count;
+    bake_option_rows(&count);
+    memset(given, true, count);
+    options.device = NULL;
+    assert_int_equal(bsq_ctx_create(NULL, &ctx), 0);
+    assert_int_equal(bake_look(ctx, &options, given, NULL, NULL), 0);
+    bsq_ctx_destroy(ctx);
+}
+
 /* ---- normals ---- */
 
 struct errors {
