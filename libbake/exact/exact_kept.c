@@ -28,10 +28,13 @@ int bake_exact_kept_create(const struct bake_exact *exact, struct exact_kept *ou
     BSQ_TRY(bsq_calloc(ctx, "chunks near others", exact->chunk_count, sizeof *out->entry_of,
                        &out->entry_of));
     BSQ_TRY(bsq_calloc(ctx, "chunks near others", out->count, sizeof *out->entries, &out->entries));
+    BSQ_TRY(bsq_alloc(ctx, "chunks near others", out->count, sizeof *out->heap, &out->heap));
     BSQ_TRY(bsq_alloc(ctx, "chunks near others", out->count, size, &out->memory));
-    for (uint32_t i = 0; i < out->count; i++)
+    for (uint32_t i = 0; i < out->count; i++) {
         out->entries[i] =
-            (struct exact_kept_entry){.next = NEVER, .memory = out->memory + i * size};
+            (struct exact_kept_entry){.next = NEVER, .place = i, .memory = out->memory + i * size};
+        out->heap[i] = i;
+    }
 done:
     return status;
 }
@@ -41,8 +44,53 @@ void bake_exact_kept_free(struct bsq_ctx *ctx, struct exact_kept *kept)
     bsq_free(ctx, kept->near);
     bsq_free(ctx, kept->entry_of);
     bsq_free(ctx, kept->entries);
+    bsq_free(ctx, kept->heap);
     bsq_free(ctx, kept->memory);
 }
+
+/* ---- which entry to give up ---- */
+
+/* Returns whether an entry is given up before another one: it is not needed by the wave, and used
+ * later. */
+static bool kept_goes_first(const struct exact_kept *kept, uint32_t entry, uint32_t other)
+{
+    const struct exact_kept_entry *a = &kept->entries[entry], *b = &kept->entries[other];
+    if (a->needed != b->needed)
+        return b->needed;
+    return a->next != b->next ? a->next > b->next : entry < other;
+}
+
+static void kept_put(struct exact_kept *kept, uint32_t place, uint32_t entry)
+{
+    kept->heap[place] = entry;
+    kept->entries[entry].place = place;
+}
+
+/* Puts an entry where it belongs in the heap, after it has changed. */
+static void kept_settle(struct exact_kept *kept, const struct exact_kept_entry *changed)
+{
+    const uint32_t entry = (uint32_t)(changed - kept->entries), *heap = kept->heap;
+    uint32_t place = changed->place;
+    for (; place > 0 && kept_goes_first(kept, entry, heap[(place - 1) / 2]);
+         place = (place - 1) / 2)
+        kept_put(kept, place, heap[(place - 1) / 2]);
+    for (uint64_t child; (child = 2 * (uint64_t)place + 1) < kept->count; place = (uint32_t)child) {
+        child += child + 1 < kept->count && kept_goes_first(kept, heap[child + 1], heap[child]);
+        if (!kept_goes_first(kept, heap[child], entry))
+            break;
+        kept_put(kept, place, heap[child]);
+    }
+    kept_put(kept, place, entry);
+}
+
+/* Returns the entry that is used last of those that the wave does not need; NULL: there is none. */
+static struct exact_kept_entry *kept_latest(const struct exact_kept *kept)
+{
+    struct exact_kept_entry *first = kept->count ? &kept->entries[kept->heap[0]] : NULL;
+    return first && !first->needed ? first : NULL;
+}
+
+/* ---- chunks ---- */
 
 static struct exact_kept_entry *kept_find(const struct exact_kept *kept, uint32_t number)
 {
@@ -66,13 +114,14 @@ static void exchange(struct exact_kept_entry *entry, struct exact_slot *slot)
     slot->chunk_memory = other.memory;
 }
 
-bool bake_exact_kept_take(const struct exact_kept *kept, struct exact_slot *slot)
+bool bake_exact_kept_take(struct exact_kept *kept, struct exact_slot *slot)
 {
     struct exact_kept_entry *entry = kept_find(kept, slot->number);
     if (entry) {
         exchange(entry, slot);
         entry->used = false;
         entry->next = NEVER;
+        kept_settle(kept, entry);
     }
     return entry != NULL;
 }
@@ -95,33 +144,22 @@ static uint32_t next_use(const struct exact_kept *kept, uint32_t number, uint32_
     return next;
 }
 
-/* Returns the entry that is used last of those that the wave does not need; NULL: there is none. */
-static struct exact_kept_entry *latest(const struct exact_kept *kept)
-{
-    struct exact_kept_entry *best = NULL;
-    for (uint32_t i = 0; i < kept->count; i++) {
-        struct exact_kept_entry *entry = &kept->entries[i];
-        if (!entry->needed && (!best || entry->next > best->next))
-            best = entry;
-    }
-    return best;
-}
-
 /* Keeps a chunk for the wave, if there is an entry for it. Returns whether it has to be loaded. */
 static bool kept_reserve(struct exact_kept *kept, uint32_t number)
 {
     struct exact_kept_entry *entry = kept_find(kept, number);
     const bool load = !entry;
     if (load)
-        entry = latest(kept);
+        entry = kept_latest(kept);
     if (!entry)
         return false;
     entry->needed = true;
     if (load) {
-        *entry =
-            (struct exact_kept_entry){.number = number, .memory = entry->memory, .needed = true};
+        *entry = (struct exact_kept_entry){
+            .number = number, .memory = entry->memory, .needed = true, .place = entry->place};
         kept->entry_of[number] = (uint32_t)(entry - kept->entries);
     }
+    kept_settle(kept, entry);
     return load;
 }
 
@@ -168,11 +206,12 @@ void bake_exact_kept_end_wave(struct exact_kept *kept, const struct exact_slots 
         entry->needed = false;
         if (entry->used && entry->next <= last)
             entry->next = next_use(kept, entry->number, last);
+        kept_settle(kept, entry);
     }
     for (uint32_t s = 0; s < used; s++) {
         struct exact_slot *slot = &wave->slots[s];
         const uint32_t next = next_use(kept, slot->number, last);
-        struct exact_kept_entry *entry = latest(kept);
+        struct exact_kept_entry *entry = kept_latest(kept);
         if (!entry || entry->next <= next)
             continue;
         exchange(entry, slot);
@@ -180,6 +219,7 @@ void bake_exact_kept_end_wave(struct exact_kept *kept, const struct exact_slots 
         kept->entry_of[slot->number] = (uint32_t)(entry - kept->entries);
         entry->next = next;
         entry->used = true;
+        kept_settle(kept, entry);
         slot->loaded = false;
     }
 }

@@ -295,6 +295,7 @@ struct exact_kept_entry {
     uint32_t next;   /* chunk with which it is used next */
     bool used;       /* holds a chunk */
     bool needed;     /* by the current wave */
+    uint32_t place;  /* in the heap */
     struct exact_chunk chunk;
     void *memory;
 };
@@ -305,6 +306,7 @@ struct exact_kept {
     uint32_t end;           /* chunks from here on belong to later batches */
     uint32_t count;         /* of entries; 0: none is kept */
     struct exact_kept_entry *entries;
+    uint32_t *heap;     /* numbers of entries: the one to give up first is on top */
     uint32_t *near;     /* chunk_count numbers */
     uint32_t *entry_of; /* of each chunk: the last entry that it had, or 0 */
     char *memory;
@@ -316,7 +318,7 @@ void bake_exact_kept_free(struct bsq_ctx *ctx, struct exact_kept *kept);
 /* Returns a chunk, or NULL if it is not kept. Thread-safe while nothing else is called. */
 const struct exact_chunk *bake_exact_kept_find(const struct exact_kept *kept, uint32_t number);
 /* Moves the chunk with the slot's number into the slot. Returns false if it is not kept. */
-bool bake_exact_kept_take(const struct exact_kept *kept, struct exact_slot *slot);
+bool bake_exact_kept_take(struct exact_kept *kept, struct exact_slot *slot);
 /* Loads the chunks that are near those of a wave, as many as fit. Must not be called from parallel
  * work. Errors: those of fmt_tris_load(). */
 int bake_exact_kept_load(struct exact_kept *kept, const struct exact_slots *wave, uint32_t used);

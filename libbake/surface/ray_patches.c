@@ -431,6 +431,20 @@ static uint32_t count_waiting(const struct job *job, uint32_t end)
     return waiting;
 }
 
+/* Returns the first chunk from `end` on such that at most `most` patches in seats need it or later
+ * ones. */
+static uint32_t end_of_few(const struct job *job, uint32_t end, uint32_t most)
+{
+    for (uint32_t high = UINT32_MAX; end < high;) {
+        const uint32_t middle = end + (high - end) / 2;
+        if (count_waiting(job, middle) > most)
+            end = middle + 1;
+        else
+            high = middle;
+    }
+    return end;
+}
+
 /* Gives seats to the next patches, as long as there are some. Returns the number after the last
  * chunk that the batch should meet: the first chunk of the patches without seats. If seats would
  * become short, the batch goes on until a sixteenth of them is free, and the next one meets some
@@ -446,8 +460,7 @@ static uint32_t take_seats(struct job *job)
     uint32_t end = job->order[job->next].first;
     if (end <= job->seated[job->waiting].first)
         end = job->seated[job->waiting].first + 1;
-    while (count_waiting(job, end) > most)
-        end++;
+    end = end_of_few(job, end, most);
     for (; job->seated[job->taken - 1].first >= end; job->taken--)
         job->next--;
     return end;
