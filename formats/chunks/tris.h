@@ -10,7 +10,7 @@
 #include "base/output.h"
 
 enum fmt_tris_attribute {
-    FMT_TRIS_NORMALS = 1,   /* octahedral, see base/vec.h */
+    FMT_TRIS_NORMALS = 1,   /* octahedral, see base/geometry/vec.h */
     FMT_TRIS_TEXCOORDS = 2, /* two float32 */
     FMT_TRIS_COLORS = 4,    /* RGBA8, sRGB, R in the low byte */
     FMT_TRIS_MATERIALS = 8, /* one uint32 a triangle, UINT32_MAX: none */

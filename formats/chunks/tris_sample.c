@@ -11,7 +11,7 @@
 #include <xxhash.h>
 
 #include "base/simd/simd.h"
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 
 /* Triangles of a run at most; of a run, every EXAMINEDth has a say in its plane: an odd number,
  * because sides may take turns. far_distance() looks at every LOOKED_ATth pair of neighbours, and

@@ -10,7 +10,7 @@
 #include <float.h>
 #include <math.h>
 
-#include "base/positions.h"
+#include "base/geometry/positions.h"
 
 /* Vertices of one chunk by cell: a grid whose cells are as large as four times the tolerance. A
  * vertex and those within the tolerance of it are in at most eight cells. */

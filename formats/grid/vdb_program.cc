@@ -23,7 +23,7 @@
 extern "C" {
 #include "base/channels.h"
 #include "base/context.h"
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 }
 #include "formats/grid/nvdb_layout_internal.h"
 #include "formats/grid/vdb_program.h"

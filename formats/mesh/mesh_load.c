@@ -7,7 +7,7 @@
 #include <string.h>
 #include <xxhash.h>
 
-#include "base/polygon.h"
+#include "base/geometry/polygon.h"
 #include "formats/mesh/mesh_reader.h"
 
 /* Occurrences of something, and the first face that has it. */

@@ -17,7 +17,7 @@
 #include <string.h>
 
 #include "base/parallel.h"
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 
 enum {
     PROBES = 8, /* of a texel: 2 k and 2 k + 1 are on opposite sides */

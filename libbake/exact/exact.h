@@ -39,8 +39,8 @@ struct bake_exact_attributes {
      * options must be in the chunk file. */
     const struct bake_transfer *transfers;
     uint32_t transfer_count;
-    /* The image of a normal map (base/vec.h) that is added to the scan's normals; NULL: what
-     * the chunk file keeps, if anything. What lies in no tile of it adds nothing. */
+    /* The image of a normal map (base/geometry/vec.h) that is added to the scan's normals; NULL:
+     * what the chunk file keeps, if anything. What lies in no tile of it adds nothing. */
     const char *normal_map;
 };
 

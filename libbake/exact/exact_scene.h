@@ -6,9 +6,9 @@
 #include <math.h>
 #include <pthread.h>
 
-#include "base/positions.h"
+#include "base/geometry/positions.h"
 #include "base/simd/simd.h"
-#include "base/smooth_normals.h"
+#include "base/geometry/smooth_normals.h"
 #include "formats/shading/shading.h"
 #include "libbake/exact/exact.h"
 #include "libbake/exact/exact_tree.h"
@@ -109,7 +109,8 @@ struct exact_smooth {
     float (*positions)[3];
     struct exact_box *groups; /* bounds of each EXACT_GROUP positions */
     struct exact_box *shared; /* of those of them that are in another chunk */
-    /* Of one-rings (base/smooth_normals.h), from index 1: two rows each, and of creases likewise.
+    /* Of one-rings (base/geometry/smooth_normals.h), from index 1: two rows each, and of creases
+     * likewise.
      */
     double (*sums)[4], (*creases)[4], (*seconds)[4];
     uint32_t *crease_of; /* 0: no crease */

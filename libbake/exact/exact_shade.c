@@ -4,7 +4,7 @@
 #include <assert.h>
 #include <string.h>
 
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "libbake/kernel/bk_srgb.h"
 
 /* A hit and its triangle. */

@@ -1,9 +1,9 @@
 /* exact_smooth_lanes.c - sums the vertex normals that the hits in a chunk need.
  *
  * They have the bits that the whole scan would give. Vertices at the same position are one vertex,
- * in one chunk or in several. The one-ring of a vertex (base/smooth_normals.h) is summed in the
- * order of the file, whichever chunks its triangles are in. Only normals that hits need are summed,
- * and only chunks whose bounds contain such a vertex are read: three times if some of these
+ * in one chunk or in several. The one-ring of a vertex (base/geometry/smooth_normals.h) is summed
+ * in the order of the file, whichever chunks its triangles are in. Only normals that hits need are
+ * summed, and only chunks whose bounds contain such a vertex are read: three times if some of these
  * vertices may be creases. Most of these chunks are in memory (exact_kept.c). */
 #include "libbake/exact/exact_scene.h"
 

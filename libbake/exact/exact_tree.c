@@ -6,7 +6,7 @@
 #include <string.h>
 
 #include "base/simd/simd.h"
-#include "base/space_curve.h"
+#include "base/geometry/space_curve.h"
 
 enum { AXIS_BITS = 11 }; /* of a place on the curve */
 

@@ -16,7 +16,7 @@
 
 #include "base/parallel.h"
 #include "base/sort_array.h"
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 
 enum { NORMAL = 3, RESULT = 6, BAND_ROWS = 64, MOST_LAYERS = 1 << 20, MOST_VALUES = 2 };
 

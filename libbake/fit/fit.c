@@ -11,7 +11,7 @@
 #include <string.h>
 
 #include "base/sort_array.h"
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "libbake/fit/probes.h"
 
 /* Layers of a scan are at least this share of its size apart. */

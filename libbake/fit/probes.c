@@ -5,7 +5,7 @@
 #include <string.h>
 
 #include "base/sort_array.h"
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 
 const char *bake_fit_scan(const struct fit *fit)
 {

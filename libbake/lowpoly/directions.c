@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "libbake/lowpoly/mikkt.h"
 
 enum { CORNERS_A_CHECK = 1 << 14 };

@@ -11,9 +11,9 @@
 #include <string.h>
 
 #include "base/file.h"
-#include "base/smooth_normals.h"
+#include "base/geometry/smooth_normals.h"
 #include "base/sort_array.h"
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "libbake/lowpoly/lowpoly_internal.h"
 #include "libbake/lowpoly/mikkt.h"
 

@@ -25,7 +25,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 
 #define NONE UINT32_MAX
 

@@ -7,7 +7,7 @@
 #include <string.h>
 
 #include "base/channels.h"
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 
 /* Makes samples from 0 to 1 stand for values from -range to range. */
 static void table_set_range(struct bake_encoding *out, double range, float background)

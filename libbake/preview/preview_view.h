@@ -2,7 +2,7 @@
 #ifndef BAKE_PREVIEW_PREVIEW_VIEW_H
 #define BAKE_PREVIEW_PREVIEW_VIEW_H
 
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "libbake/preview/preview.h"
 
 enum {

@@ -4,7 +4,7 @@
  * indices, because some scans repeat each vertex for each face. Sorted neighbours share most of
  * their corners, so a small cache of recent corners finds most vertices without their values. */
 #include "libvoxel/chunk/chunk_build.h"
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 
 #define MAX_VERTICES   (3 * FMT_TRIS_CHUNK_TRIANGLES)
 #define MIN_TABLE_BITS 16u /* for meshes, which have about one vertex for two triangles */

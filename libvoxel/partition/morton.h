@@ -2,7 +2,7 @@
 #ifndef VOX_PARTITION_MORTON_H
 #define VOX_PARTITION_MORTON_H
 
-#include "base/space_curve.h"
+#include "base/geometry/space_curve.h"
 
 #define MORTON_AXIS_BITS 21
 #define MORTON_KEY_BITS  63

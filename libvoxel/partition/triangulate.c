@@ -5,7 +5,7 @@
  * There is a fast path for most scans, whose batches have triangles with positions alone and one
  * material: these are coded while their buckets are found, so each change of the bucket ends a run.
  * That pays as long as neighbours in the file are neighbours in space. */
-#include "base/polygon.h"
+#include "base/geometry/polygon.h"
 #include "libvoxel/partition/corner_delta_code.h"
 #include "libvoxel/partition/triangulate.h"
 

@@ -5,7 +5,7 @@
 #include "libvoxel/read/scan.h"
 #include "libvoxel/float_precision.h"
 #include "base/context.h"
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 
 #include <float.h>
 #include <math.h>

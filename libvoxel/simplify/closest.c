@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 
 /* The depth is that of halving 2^32 triangles into leaves. */
 enum { LEAF_TRIANGLES = 4, DEPTH_MAX = 32 };

@@ -9,7 +9,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 
 enum {
     AXIS_BITS = 10,                   /* of the number of a cell */

@@ -9,7 +9,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "libvoxel/simplify/closest.h"
 #include "libvoxel/simplify/rings.h"
 

@@ -12,7 +12,7 @@
 #include <string.h>
 
 #include "base/parallel.h"
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "libvoxel/simplify/closest.h"
 
 enum {

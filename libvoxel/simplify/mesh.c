@@ -4,9 +4,9 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/positions.h"
+#include "base/geometry/positions.h"
 #include "base/sort_array.h"
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 
 void vox_quadric_add(struct vox_quadric *q, const struct vox_quadric *other)
 {

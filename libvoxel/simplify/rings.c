@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 
 /* Least cosine between a triangle's normals before and after a collapse. */
 static const double least_cosine = 0.2;

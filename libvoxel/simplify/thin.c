@@ -9,7 +9,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "libvoxel/simplify/rings.h"
 
 enum { SAMPLE_STEP = 8, BIN_SHIFT = 20, BINS = 1 << (31 - BIN_SHIFT) };

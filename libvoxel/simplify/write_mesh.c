@@ -8,7 +8,7 @@
 
 #include "base/sort_array.h"
 #include "base/text.h"
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "formats/asset/glb.h"
 
 /* A vertex with one of its normals. */

@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 
 /* ---- layout ---- */
 

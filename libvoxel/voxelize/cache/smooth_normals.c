@@ -9,8 +9,8 @@
 #include <pthread.h>
 #include <string.h>
 
-#include "base/positions.h"
-#include "base/vec.h"
+#include "base/geometry/positions.h"
+#include "base/geometry/vec.h"
 
 /* Memory of one call. */
 struct workspace {

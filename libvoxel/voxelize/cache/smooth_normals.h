@@ -2,7 +2,7 @@
 #ifndef VOX_VOXELIZE_CACHE_SMOOTH_NORMALS_H
 #define VOX_VOXELIZE_CACHE_SMOOTH_NORMALS_H
 
-#include "base/smooth_normals.h"
+#include "base/geometry/smooth_normals.h"
 #include "libvoxel/voxelize/plan/plan.h"
 
 /* ---- groups ----
@@ -66,10 +66,10 @@ struct vox_smooth_chunk {
  * position are one, whichever chunk they are in. normals: one entry for each vertex: a unit normal,
  * or zero if no normal stands for its triangles, and a height in voxels: how far above the vertex,
  * along its normal, the surface lies that the interpolated normals describe. points: one for each
- * vertex; the fourth number gets the same for the second side of a crease (base/smooth_normals.h),
- * packed, and is 0 elsewhere. *has_seconds: whether there are any; else `points` is unchanged.
- * Sums run in the order of triangles in the file, so results do not depend on the order of calls.
- * Thread-safe; waits while no workspace is free. */
+ * vertex; the fourth number gets the same for the second side of a crease
+ * (base/geometry/smooth_normals.h), packed, and is 0 elsewhere. *has_seconds: whether there are
+ * any; else `points` is unchanged. Sums run in the order of triangles in the file, so results do
+ * not depend on the order of calls. Thread-safe; waits while no workspace is free. */
 int vox_smooth_normals(struct vox_smooth *smooth, const struct vox_smooth_lender *lender,
                        const struct vox_smooth_chunk *chunk, const struct vox_transform *transform,
                        float (*normals)[4], double (*points)[4], bool *has_seconds);
@@ -82,7 +82,7 @@ void vox_second_unpack(double packed, float second[4]);
 
 /* ---- private to the cache: one-rings, for each instruction set ---- */
 
-/* Parts and rows of the sums, see base/smooth_normals.h. */
+/* Parts and rows of the sums, see base/geometry/smooth_normals.h. */
 enum { VOX_RING_PARTS = BSQ_RING_MOMENT, VOX_RING_ROWS = 2 };
 
 /* bsq_add_one_rings() of a chunk's triangles. */
@@ -91,7 +91,7 @@ typedef void vox_add_one_rings_fn(const struct fmt_tris_chunk *chunk, uint32_t b
                                   double (*rings)[4]);
 BSQ_SIMD_DECLARE(vox_add_one_rings_fn, vox_add_one_rings);
 
-/* Creases, as base/smooth_normals.h describes them. */
+/* Creases, as base/geometry/smooth_normals.h describes them. */
 struct vox_creases {
     uint32_t *crease_of; /* by one-ring */
     double (*creases)[4];

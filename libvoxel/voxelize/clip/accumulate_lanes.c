@@ -10,7 +10,7 @@
 #include <math.h>
 #include <stddef.h>
 
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "libvoxel/voxelize/clip/clip.h"
 #include "libvoxel/voxelize/clip/small_lanes.h"
 

@@ -4,7 +4,7 @@
 #include <time.h>
 
 #include "base/context_internal.h"
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "base/parallel.h"
 #include "tests/unit/test.h"
 #include "tests/unit/sanitized.h"

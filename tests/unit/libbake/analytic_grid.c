@@ -3,7 +3,7 @@
 #include "tests/grid_lookup.h"
 #include "tests/unit/fixture.h"
 
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 
 #define PI 3.14159265358979323846
 

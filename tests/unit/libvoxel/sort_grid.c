@@ -1,5 +1,5 @@
 #include "sort_grid.h"
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "tests/unit/fixture.h"
 
 uint32_t sort_random(uint64_t *seed)

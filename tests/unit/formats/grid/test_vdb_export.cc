@@ -13,7 +13,7 @@
 #include <openvdb/openvdb.h>
 
 extern "C" {
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 }
 #include "formats/grid/nvdb.h"
 #include "tests/unit/formats/grid/nvdb_scene.h"

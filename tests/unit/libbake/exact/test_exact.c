@@ -1,5 +1,5 @@
 /* test_exact.c - which hit wins, for any chunks, threads and budgets; damaged scans. */
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "libbake/exact/exact_tree.h"
 #include "tests/unit/test.h"
 #include "tests/unit/libbake/exact/exact_fixture.h"

@@ -1,5 +1,5 @@
 /* test_exact_shading.c - normals and colours of hits. */
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "tests/unit/image_file.h"
 #include "tests/unit/test.h"
 #include "tests/unit/libbake/exact/exact_fixture.h"

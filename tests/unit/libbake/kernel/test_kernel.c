@@ -1,5 +1,5 @@
 /* test_kernel.c - compares the kernel's parts to naive versions of them. */
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "libbake/device/job/job.h"
 #include "libbake/kernel/bk_sample.h"
 #include "libbake/kernel/bk_srgb.h"
@@ -21,7 +21,7 @@ TEST(test_srgb_table)
     }
 }
 
-/* The kernel may differ from base/vec.h if a coordinate is -32768, which the encoder never
+/* The kernel may differ from base/geometry/vec.h if a coordinate is -32768, which the encoder never
  * writes. */
 TEST(test_decode_normal)
 {

@@ -1,6 +1,6 @@
 /* Voxelizes chunk files. Compares voxel counts with the exact sphere, and records with analytic
  * surfaces. */
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "tests/unit/sanitized.h"
 #include "voxelize_fixture.h"
 #include "tests/unit/test.h"

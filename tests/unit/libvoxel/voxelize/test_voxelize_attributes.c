@@ -1,5 +1,5 @@
 /* Tests how normals, colours, materials and textures of a scan reach the records of its grid. */
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 #include "tests/unit/image_file.h"
 #include "voxelize_fixture.h"
 #include "tests/unit/test.h"

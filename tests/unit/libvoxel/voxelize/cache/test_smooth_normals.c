@@ -1,5 +1,5 @@
 /* Tests that smooth vertex normals do not depend on the division into chunks. */
-#include "base/smooth_normals.h"
+#include "base/geometry/smooth_normals.h"
 #include "libvoxel/voxelize/cache/chunk_content.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
 #include "tests/unit/test.h"

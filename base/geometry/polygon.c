@@ -7,7 +7,7 @@
  *
  * Each corner is tested once, and again only if its triangle changed or if the corner that blocked
  * it, its witness, is gone. */
-#include "base/polygon.h"
+#include "base/geometry/polygon.h"
 
 /* Polygons of up to this many corners need no memory from the caller. */
 enum { FEW_CORNERS = 64 };

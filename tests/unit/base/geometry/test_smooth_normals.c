@@ -1,6 +1,6 @@
 /* test_smooth_normals.c - sums over one-rings have the bits of scalar code; weights are those of
  * their definitions; creases begin at a fold of 60 degrees. */
-#include "base/smooth_normals.h"
+#include "base/geometry/smooth_normals.h"
 #include "tests/unit/test.h"
 
 enum { VERTICES = 40, TRIANGLES = 300, RINGS = 30 };

@@ -1,5 +1,5 @@
 /* space_curve.c - Hilbert's curve as an automaton, one octant a step. */
-#include "base/space_curve.h"
+#include "base/geometry/space_curve.h"
 
 /* For a state and an octant (x in bit 0): the octant's place on the curve in the low three bits,
  * and above them the state inside that octant. Derived from two levels of Skilling's curve

@@ -1,5 +1,5 @@
 /* vec.c - unit vectors as points of an unfolded octahedron, and normal maps. */
-#include "base/vec.h"
+#include "base/geometry/vec.h"
 
 /* ---- unit vectors ----
  *

@@ -1,5 +1,5 @@
 /* test_positions.c - the table finds the same equal positions as a comparison of every pair. */
-#include "base/positions.h"
+#include "base/geometry/positions.h"
 #include "tests/unit/test.h"
 
 enum { KNOWN = 300, OTHERS = 203 };

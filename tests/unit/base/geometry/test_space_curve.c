@@ -1,5 +1,5 @@
 /* test_space_curve.c - both curves number each cell of a cube once, in their documented order. */
-#include "base/space_curve.h"
+#include "base/geometry/space_curve.h"
 #include "tests/unit/test.h"
 
 TEST(test_morton_keys_interleave_bits)

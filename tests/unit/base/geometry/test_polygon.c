@@ -1,5 +1,5 @@
 /* test_polygon.c - triangles cover their polygon, with its orientation, for any simple polygon. */
-#include "base/polygon.h"
+#include "base/geometry/polygon.h"
 #include "tests/unit/test.h"
 
 static uint64_t random_state; /* of test_random() */
