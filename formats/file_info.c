@@ -148,12 +148,8 @@ static json_t *material_json(const struct fmt_material *m, uint64_t faces, json_
 {
     json_t *root = json_pack("{s:o, s:I}", "name", text_json(m->name), "faces", (json_int_t)faces);
     int failed = 0;
-    if (m->texture_path)
-        failed |= json_object_set_new(root, "color", texture_json(m->texture_path));
-    else if (m->has_diffuse)
-        failed |= json_object_set_new(root, "color",
-                                      json_pack("[f, f, f]", (double)m->diffuse[0],
-                                                (double)m->diffuse[1], (double)m->diffuse[2]));
+    if (m->color.texture_path || m->color.has_value)
+        failed |= json_object_set_new(root, "color", channel_json(&m->color));
     for (uint32_t c = 0; c < m->channel_count; c++) {
         const struct fmt_material_channel *channel = &m->channels[c];
         if (!channel->texture_path && !channel->has_value)

@@ -202,7 +202,8 @@ static int read_uv(const struct gltf_item *item, const struct gltf_material *mat
                                                        (const double(*)[3])matrix, &out->uv)))
         return status;
     bsq_free(ctx, out->texture_path);
-    out->texture_path = NULL;
+    bsq_free(ctx, out->texture_place);
+    out->texture_path = out->texture_place = NULL;
     out->uv = (struct bsq_uv){.moves = false};
     out->loss = "its texture has other texture coordinates than the base colour and is not used";
     return 0;
@@ -250,27 +251,35 @@ static int read_factor(const struct gltf_item *item, const json_t *object, const
     return status < 0 ? status : 0;
 }
 
-static int read_channel_texture(const struct gltf_item *item, struct gltf_source *source,
-                                const struct gltf_material *material, const json_t *info,
-                                struct fmt_material_channel *out)
+/* Reads the texture of a channel, or of the colour. `info` refers to it; NULL: none. Integers of
+ * colours are sRGB, as the format wants it. */
+static int read_texture(const struct gltf_item *item, struct gltf_source *source,
+                        const json_t *info, struct fmt_material_channel *out)
 {
-    const struct gltf_unread before = source->unread;
+    struct gltf_document *d = item->document;
     struct bsq_extent extent;
     uint32_t texture = GLTF_NONE;
     int status;
     BSQ_TRY(fmt_gltf_index(item, info, "index", "textures", &texture));
     if (texture != GLTF_NONE)
-        BSQ_TRY(find_texture(item->document, source, texture, out->uv.wrap, &out->texture_path));
-    source->unread = before; /* these counts are of colours */
-    if (!out->texture_path)
-        out->loss = "its texture has a format or an address that is not read";
+        BSQ_TRY(find_texture(d, source, texture, out->uv.wrap, &out->texture_path));
     out->uv.srgb = out->texture_path && out->channel->color;
-    if (out->texture_path)
-        BSQ_TRY(read_uv(item, material, info, out));
     if (out->texture_path && bsq_extent_parse(out->texture_path, &extent) == 0)
-        BSQ_TRY(bsq_text_copy(item->document->ctx, item->document->file.path, &out->texture_place));
+        status = bsq_text_copy(d->ctx, d->file.path, &out->texture_place);
 done:
     return status;
+}
+
+static int read_channel_texture(const struct gltf_item *item, struct gltf_source *source,
+                                const struct gltf_material *material, const json_t *info,
+                                struct fmt_material_channel *out)
+{
+    const struct gltf_unread before = source->unread;
+    int status = read_texture(item, source, info, out);
+    source->unread = before; /* these counts are of colours */
+    if (!status && !out->texture_path)
+        out->loss = "its texture has a format or an address that is not read";
+    return status || !out->texture_path ? status : read_uv(item, material, info, out);
 }
 
 static int read_channel(const struct gltf_item *item, struct gltf_source *source,
@@ -318,9 +327,9 @@ static int read_color(const struct gltf_item *item, const json_t *object, const 
         rgba[k] = fmin(fmax(rgba[k], 0.0), 1.0);
     memcpy(out->color, rgba, sizeof out->color);
     for (int k = 0; k < 3; k++)
-        out->described.diffuse[k] = (float)bsq_linear_to_srgb(rgba[k]);
+        out->described.color.value[k] = (float)bsq_linear_to_srgb(rgba[k]);
     *alpha = rgba[3];
-    out->described.has_diffuse = status > 0;
+    out->described.color.has_value = status > 0;
     return status < 0 ? status : 0;
 }
 
@@ -360,25 +369,17 @@ static int read_opacity(const struct gltf_item *item, double alpha, struct fmt_m
 int fmt_gltf_read_material(const struct gltf_item *item, struct gltf_source *source, void *element)
 {
     struct gltf_material *out = element;
-    struct gltf_document *d = item->document;
     const json_t *pbr = json_object_get(item->object, "pbrMetallicRoughness");
     const json_t *old = fmt_gltf_extension(item->object, "KHR_materials_pbrSpecularGlossiness");
     const json_t *from = pbr ? pbr : old;
     const json_t *base = json_object_get(from, pbr ? "baseColorTexture" : "diffuseTexture");
     struct fmt_material *m = &out->described;
-    uint32_t texture = GLTF_NONE;
-    struct bsq_extent extent;
     double alpha;
     int status;
+    m->color.channel = &fmt_color_channel;
     BSQ_TRY(read_name(item, &m->name));
     BSQ_TRY(read_color(item, from, pbr ? "baseColorFactor" : "diffuseFactor", out, &alpha));
-    if (base)
-        BSQ_TRY(fmt_gltf_index(item, base, "index", "textures", &texture));
-    if (texture != GLTF_NONE)
-        BSQ_TRY(find_texture(d, source, texture, m->uv.wrap, &m->texture_path));
-    m->uv.srgb = m->texture_path != NULL; /* the format wants it */
-    if (m->texture_path && bsq_extent_parse(m->texture_path, &extent) == 0)
-        BSQ_TRY(bsq_text_copy(d->ctx, d->file.path, &m->texture_place));
+    BSQ_TRY(read_texture(item, source, base, &m->color));
     BSQ_TRY(read_texcoord(item, find_texture_info(item, base), &out->texcoord, out->uv_matrix));
     BSQ_TRY(read_channels(item, source, out));
     status = read_opacity(item, alpha, m);

@@ -545,7 +545,7 @@ static int list_materials(struct stream_source *source, struct fmt_materials *ou
     for (uint32_t i = 0; i < file->material_count; i++) {
         BSQ_TRY(fmt_materials_add(source->ctx, out, &material));
         BSQ_TRY(fmt_material_copy(source->ctx, &file->materials[i].described, material));
-        material->tinted = material->texture_path && source->reader->gltf_colors;
+        material->tinted = material->color.texture_path && source->reader->gltf_colors;
     }
 done:
     return status;

@@ -110,7 +110,8 @@ static bool has_texture_factor(const struct gltf_source *source, const struct gl
     if (p->material == GLTF_NONE || p->accessors[GLTF_TEXCOORD] == GLTF_NONE)
         return false;
     const struct gltf_material *m = &source->materials[p->material];
-    return m->described.texture_path && (m->color[0] != 1 || m->color[1] != 1 || m->color[2] != 1);
+    return m->described.color.texture_path &&
+           (m->color[0] != 1 || m->color[1] != 1 || m->color[2] != 1);
 }
 
 /* Reads a primitive. Leaves its `triangles` 0 if it has none that can be read. */

@@ -179,33 +179,32 @@ int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_esti
  * nothing for formats without objects. */
 void fmt_mesh_use_objects(struct fmt_mesh_reader *reader);
 
-/* A further channel of a material, such as its roughness. */
+/* The colour of a material, or a further channel, such as its roughness. */
 struct fmt_material_channel {
-    const struct bsq_channel *channel; /* a row with a name */
+    const struct bsq_channel *channel; /* a row with a name, or fmt_color_channel */
     bool has_value;
     /* As the file has it; of colours, display-referred (sRGB) up to 1, and linear light above.
      * Without has_value it is what the material has if another material has the channel. */
     float value[3];
-    char *texture_path;  /* as in struct fmt_material, or NULL */
-    char *texture_place; /* likewise */
+    char *texture_path; /* as the file system finds it; or NULL */
+    /* What names it, for messages: "scan.mtl:3" or "scan.gltf"; NULL: nothing, or the texture is a
+     * part of the scan's own file. */
+    char *texture_place;
     struct bsq_uv uv;
     float factor[3];    /* of the texture, see struct bsq_channel; of colours, in linear light */
     uint32_t component; /* of the texture, see BSQ_CHANNEL_ALPHA, for channels with one value */
     const char *loss;   /* what of the channel cannot be used, for a warning; or NULL */
 };
 
+/* The row of the colours of materials. Lists of channels do not have it. */
+extern const struct bsq_channel fmt_color_channel;
+
 struct fmt_material {
     char *name;
-    float diffuse[3]; /* display-referred (sRGB) 0..1; 0.8 if the file gives none */
-    bool has_diffuse;
-    char *texture_path; /* of the diffuse colour, as the file system finds it; or NULL */
-    /* What names it, for messages: "scan.mtl:3" or "scan.gltf"; NULL: nothing, or the texture is a
-     * part of the scan's own file. */
-    char *texture_place;
-    struct bsq_uv uv; /* of this texture */
-    bool tinted;      /* colours of vertices multiply this texture */
-    bool opaque;      /* the alpha of this texture has no meaning */
-    bool cutout;      /* it hides what is below the cutoff, and shows the rest whole */
+    struct fmt_material_channel color; /* diffuse: 0..1; 0.8 if the file gives none */
+    bool tinted;                       /* colours of vertices multiply its texture */
+    bool opaque;                       /* the alpha of its texture has no meaning */
+    bool cutout; /* it hides what is below the cutoff, and shows the rest whole */
     float cutoff;
     struct fmt_material_channel *channels;
     uint32_t channel_count;
@@ -231,6 +230,9 @@ void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials);
 /* Adds a material to the end of a list: grey, as materials without a colour are. Errors:
  * BSQ_ENOMEM, BSQ_EDATA if there are too many. */
 int fmt_materials_add(struct bsq_ctx *ctx, struct fmt_materials *list, struct fmt_material **out);
+/* Returns the material's entry for a channel of this name, or NULL. */
+struct fmt_material_channel *fmt_material_find_channel(const struct fmt_material *material,
+                                                       const char *name);
 /* Returns in *out the material's entry for a channel, which is added if there is none. Errors:
  * BSQ_ENOMEM. */
 int fmt_material_enter_channel(struct bsq_ctx *ctx, struct fmt_material *material,

@@ -254,40 +254,32 @@ static int read_texture(struct reader *reader, const char *statement, char *p,
     return note_place(reader, texture->place);
 }
 
-/* ---- properties: the diffuse colour, and further channels ---- */
+/* ---- properties: the colour, and further channels ---- */
 
-/* Returns whether a statement is about a property. Sets its channel; NULL: the diffuse colour. */
-static bool find_property(const char *p, const struct bsq_channel **channel, bool *is_map)
+/* Returns the channel that a statement is about, or NULL. */
+static const struct bsq_channel *find_property(const char *p, bool *is_map)
 {
-    *channel = NULL;
-    *is_map = word_is(p, "map_Kd");
-    if (*is_map || word_is(p, "Kd"))
-        return true;
-    for (unsigned i = 0; (*channel = bsq_channel_at(i)) != NULL; i++) {
-        const struct bsq_channel *row = *channel;
+    const struct bsq_channel *row = &fmt_color_channel;
+    for (unsigned i = 0; row; row = bsq_channel_at(i++)) {
         *is_map = row->mtl_map && word_is(p, row->mtl_map);
         if (*is_map || (row->mtl_value && word_is(p, row->mtl_value)) ||
             (row->mtl_inverse && word_is(p, row->mtl_inverse)))
-            return true;
+            return row;
     }
-    return false;
+    return NULL;
 }
 
-/* Reads the texture of the diffuse colour or, unless that is NULL, of a channel. */
 static int read_map(struct reader *reader, char *rest, struct fmt_material_channel *entry)
 {
-    struct fmt_material *material = current(reader);
-    struct texture texture = {.path = &material->texture_path, .place = &material->texture_place};
-    if (entry)
-        texture = (struct texture){.path = &entry->texture_path,
-                                   .place = &entry->texture_place,
-                                   .component = entry->channel->component,
-                                   .scalar = entry->channel->values == 1};
-    int status = read_texture(reader, entry ? entry->channel->mtl_map : "map_Kd", rest, &texture);
-    if (texture.found)
-        *(entry ? &entry->uv : &material->uv) = texture.uv;
-    if (texture.found && entry)
+    struct texture texture = {.path = &entry->texture_path,
+                              .place = &entry->texture_place,
+                              .component = entry->channel->component,
+                              .scalar = entry->channel->values == 1};
+    int status = read_texture(reader, entry->channel->mtl_map, rest, &texture);
+    if (texture.found) {
+        entry->uv = texture.uv;
         entry->component = texture.component;
+    }
     return status;
 }
 
@@ -296,35 +288,30 @@ static int read_channel_value(struct reader *reader, char *p, char *rest,
                               struct fmt_material_channel *entry)
 {
     const bool inverse = entry->channel->mtl_inverse && word_is(p, entry->channel->mtl_inverse);
+    const double most = inverse || entry->channel == &fmt_color_channel ? 1 : most_number;
     bool known = false;
-    int status = read_values(reader, rest, inverse ? 1 : most_number, entry->value, &known);
+    int status = read_values(reader, rest, most, entry->value, &known);
     for (int k = 0; k < 3 && inverse && known; k++)
         entry->value[k] = 1 - entry->value[k];
     entry->has_value |= known;
     return status;
 }
 
-/* Reads a statement at `p` about a property: its value, or its texture. */
+/* Reads a statement at `p` about a channel: its value, or its texture. */
 static int read_property(struct reader *reader, const struct bsq_channel *channel, bool is_map,
                          char *p, char *rest)
 {
     struct fmt_material *material = current(reader);
-    struct fmt_material_channel *entry = NULL;
+    struct fmt_material_channel *entry;
     int status = 0;
-    if (!material && !channel)
-        return warn(reader, unnamed_material, is_map ? "map_Kd" : "Kd");
     if (!material)
         return warn(reader, unnamed_material, is_map ? channel->mtl_map : channel->mtl_value);
-    if (channel)
-        BSQ_TRY(fmt_material_enter_channel(reader->ctx, material, channel, &entry));
-    if (is_map)
-        status = read_map(reader, rest, entry);
-    else if (entry)
-        status = read_channel_value(reader, p, rest, entry);
-    else
-        status = read_values(reader, rest, 1, material->diffuse, &material->has_diffuse);
-done:
-    return status;
+    entry = &material->color;
+    if (channel != &fmt_color_channel)
+        status = fmt_material_enter_channel(reader->ctx, material, channel, &entry);
+    if (status)
+        return status;
+    return is_map ? read_map(reader, rest, entry) : read_channel_value(reader, p, rest, entry);
 }
 
 /* Returns whether a line says nothing that is kept: a comment, or a statement of rendering. Each
@@ -352,8 +339,8 @@ static int read_line(struct reader *reader, char *line)
     if (word_is(p, "newmtl"))
         return begin_material(reader, rest);
     bool is_map;
-    const struct bsq_channel *channel;
-    if (find_property(p, &channel, &is_map))
+    const struct bsq_channel *channel = find_property(p, &is_map);
+    if (channel)
         return read_property(reader, channel, is_map, p, rest);
     if (!is_ignored(p))
         note_unknown(reader);

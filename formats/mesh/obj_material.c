@@ -164,7 +164,7 @@ static int name_others(struct stream_source *source, struct fmt_materials *out)
     bool colored = false;
     for (uint32_t i = 0; i < out->count; i++) {
         const char *name = file->materials.list[i];
-        colored |= out->list[i].has_diffuse || out->list[i].texture_path;
+        colored |= out->list[i].color.has_value || out->list[i].color.texture_path;
         if (out->list[i].name)
             continue;
         if (readable || file->libraries.count == 0)
@@ -182,8 +182,8 @@ static int name_others(struct stream_source *source, struct fmt_materials *out)
 static const char *find_texture(const struct fmt_materials *list)
 {
     for (uint32_t i = 0; i < list->count; i++)
-        if (list->list[i].texture_path)
-            return list->list[i].texture_path;
+        if (list->list[i].color.texture_path)
+            return list->list[i].color.texture_path;
     return NULL;
 }
 

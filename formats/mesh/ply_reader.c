@@ -442,9 +442,9 @@ static int describe_texture(const struct stream_source *source, const char *name
     bool exists;
     int status;
     BSQ_TRY(bsq_text_copy(source->ctx, name, &out->name));
-    BSQ_TRY(fmt_path_find(source->ctx, fmt_input_beside(source->input), name, &out->texture_path,
-                          &exists));
-    status = bsq_text_copy(source->ctx, source->path, &out->texture_place);
+    BSQ_TRY(fmt_path_find(source->ctx, fmt_input_beside(source->input), name,
+                          &out->color.texture_path, &exists));
+    status = bsq_text_copy(source->ctx, source->path, &out->color.texture_place);
 done:
     return status;
 }
@@ -454,8 +454,8 @@ static int describe_color(struct bsq_ctx *ctx, const char *name, struct fmt_mate
     unsigned color[3] = {0};
     sscanf(name, "#%2x%2x%2x", &color[0], &color[1], &color[2]);
     for (int c = 0; c < 3; c++)
-        out->diffuse[c] = (float)color[c] / 255.0f;
-    out->has_diffuse = true;
+        out->color.value[c] = (float)color[c] / 255.0f;
+    out->color.has_value = true;
     return bsq_text_copy(ctx, name, &out->name);
 }
 

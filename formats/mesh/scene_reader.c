@@ -317,15 +317,15 @@ static int describe_material(const struct stream_source *source,
     const char *texts = scene_of(source)->texts;
     int status;
     for (int k = 0; k < 3; k++)
-        out->diffuse[k] = fminf(fmaxf(from->diffuse[k], 0), 1);
-    out->has_diffuse = from->has_diffuse;
-    out->uv = from->uv;
+        out->color.value[k] = fminf(fmaxf(from->diffuse[k], 0), 1);
+    out->color.has_value = from->has_diffuse;
+    out->color.uv = from->uv;
     BSQ_TRY(bsq_text_copy(source->ctx, texts + from->name, &out->name));
     if (from->texture == UINT64_MAX)
         return 0;
     BSQ_TRY(fmt_path_find(source->ctx, fmt_input_beside(source->input), texts + from->texture,
-                          &out->texture_path, NULL));
-    status = bsq_text_copy(source->ctx, source->path, &out->texture_place);
+                          &out->color.texture_path, NULL));
+    status = bsq_text_copy(source->ctx, source->path, &out->color.texture_place);
 done:
     return status;
 }

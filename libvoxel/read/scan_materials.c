@@ -58,23 +58,13 @@ static int resolve_texture(struct scan *scan, const char *path, char **out)
     return status;
 }
 
-/* Returns the entry of a material for a channel, or NULL. */
-static const struct fmt_material_channel *find_channel(const struct fmt_material *from,
-                                                       const char *name)
-{
-    for (uint32_t c = 0; c < from->channel_count; c++)
-        if (strcmp(from->channels[c].channel->name, name) == 0)
-            return &from->channels[c];
-    return NULL;
-}
-
 /* Returns the texture that gives a material a channel: the image of the options or, if it is good,
  * the material's own texture; NULL: neither. */
 static const char *channel_texture(const struct scan *scan, const struct scan_textures *textures,
                                    const struct fmt_material *from, uint32_t number)
 {
     const struct vox_channel *wanted = &scan->channels[number];
-    const struct fmt_material_channel *own = find_channel(from, wanted->name);
+    const struct fmt_material_channel *own = fmt_material_find_channel(from, wanted->name);
     if (scan_count(scan, SCAN_TEXCOORDS) == 0)
         return NULL;
     if (wanted->texture_path)
@@ -130,7 +120,8 @@ static bool any_gives(const struct scan *scan, const struct scan_textures *textu
     for (uint32_t i = 0; i < found->count && !any; i++)
         any = is_used(scan, i) &&
               (channel_texture(scan, textures, &found->list[i], channel) ||
-               gives_value(scan, find_channel(&found->list[i], scan->channels[channel].name)));
+               gives_value(
+                   scan, fmt_material_find_channel(&found->list[i], scan->channels[channel].name)));
     return any;
 }
 
@@ -218,7 +209,8 @@ static int add_sources(struct scan *scan, const struct scan_textures *textures,
                             &material->sources);
     for (uint32_t c = 0; c < scan->channel_count && status == 0; c++) {
         struct fmt_tris_source *source = &material->sources[c];
-        const struct fmt_material_channel *own = find_channel(from, scan->channels[c].name);
+        const struct fmt_material_channel *own =
+            fmt_material_find_channel(from, scan->channels[c].name);
         const char *path = textured ? channel_texture(scan, textures, from, c) : NULL;
         scan->found_channels[c] |= path || gives_value(scan, own);
         const struct bsq_channel *channel = bsq_channel_find(scan->channels[c].name);
@@ -347,13 +339,13 @@ static bool colors_are_lost(const struct scan *scan, const struct scan_textures 
     bool lost = false, others = false;
     for (uint32_t i = 0; i < found->count; i++) {
         const struct fmt_material *material = &found->list[i];
-        const bool good =
-            material->texture_path && (scan_count(scan, SCAN_TEXCOORDS) == 0 ||
-                                       vox_textures_have(textures, material->texture_path));
+        const bool good = material->color.texture_path &&
+                          (scan_count(scan, SCAN_TEXCOORDS) == 0 ||
+                           vox_textures_have(textures, material->color.texture_path));
         if (!is_used(scan, i))
             continue;
-        lost |= material->texture_path && !good;
-        others |= good || (!material->texture_path && material->has_diffuse);
+        lost |= material->color.texture_path && !good;
+        others |= good || (!material->color.texture_path && material->color.has_value);
     }
     return lost && !others;
 }
@@ -364,23 +356,25 @@ static int add_entries(struct scan *scan, const struct scan_textures *textures,
                        const struct fmt_material *from, bool given, uint32_t map[2])
 {
     const char *name = name_of(scan, from);
-    const bool colored = given || (from->texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0 &&
-                                   vox_textures_have(textures, from->texture_path));
+    const bool colored =
+        given || (from->color.texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0 &&
+                  vox_textures_have(textures, from->color.texture_path));
     const bool textured = colored || any_channel_texture(scan, textures, from);
-    const bool has_color = from->has_diffuse && !(from->texture_path && scan->lost_colors);
+    const bool has_color =
+        from->color.has_value && !(from->color.texture_path && scan->lost_colors);
     const bool plain = has_color || name || scan->channel_count > 0;
     int status = 0;
     if (textured)
-        BSQ_TRY(add_material(scan, colored ? from->texture_path : NULL, from->diffuse,
+        BSQ_TRY(add_material(scan, colored ? from->color.texture_path : NULL, from->color.value,
                              colored || has_color, name, &map[0]));
     if (textured)
         BSQ_TRY(add_sources(scan, textures, from, true, map[0]));
     if (colored)
-        scan->materials[map[0]].uv = from->uv;
+        scan->materials[map[0]].uv = from->color.uv;
     if (colored)
         scan->materials[map[0]].tinted = from->tinted;
     if (plain && (!textured || scan->lacks_texcoord)) {
-        BSQ_TRY(add_material(scan, NULL, from->diffuse, has_color, name, &map[1]));
+        BSQ_TRY(add_material(scan, NULL, from->color.value, has_color, name, &map[1]));
         BSQ_TRY(add_sources(scan, textures, from, false, map[1]));
     }
     if (!textured)
@@ -401,10 +395,9 @@ static int add_all(struct scan *scan, const struct scan_textures *textures,
         uint32_t *map = &scan->material_map[2 * (uint64_t)i];
         struct fmt_material from = found->list[i < last ? i : last];
         if (image) {
-            from.texture_path = (char *)image;
-            from.diffuse[0] = from.diffuse[1] = from.diffuse[2] = 1.0f;
-            from.has_diffuse = from.tinted = false;
-            from.uv = (struct bsq_uv){0};
+            from.color =
+                (struct fmt_material_channel){.texture_path = (char *)image, .value = {1, 1, 1}};
+            from.tinted = false;
         }
         BSQ_TRY(bsq_check(scan->ctx));
         if (image && i > 0 && !keeps_materials(scan))
@@ -425,7 +418,8 @@ static int warn_of_bare_faces(const struct scan *scan, const struct scan_texture
     uint64_t count = image ? scan->without_material.bare_faces : 0;
     const char *example = image;
     for (uint64_t i = 0; i < scan->material_use_count; i++) {
-        const char *own = !image && i < scan->usemtl_count ? found->list[i].texture_path : NULL;
+        const char *own =
+            !image && i < scan->usemtl_count ? found->list[i].color.texture_path : NULL;
         const bool good = own && (!has_texcoords || vox_textures_have(textures, own));
         if (scan->material_uses[i].bare_faces == 0 || (!image && !good))
             continue;

@@ -20,7 +20,7 @@
 /* A texture of a material that is to be checked. */
 struct candidate {
     const struct fmt_material *material;
-    const char *path, *place; /* as in struct fmt_material */
+    const char *path, *place; /* as in struct fmt_material_channel */
     uint64_t others;          /* further materials that name it */
     bool good;
 };
@@ -158,12 +158,12 @@ static uint64_t list_textures(const struct scan_textures *textures,
                               const struct fmt_material *material, struct candidate *out)
 {
     uint64_t count = 0;
-    if (material->texture_path && !textures->only_channels)
-        out[count++] = (struct candidate){
-            .material = material, .path = material->texture_path, .place = material->texture_place};
-    for (uint32_t c = 0; c < material->channel_count; c++) {
-        const struct fmt_material_channel *channel = &material->channels[c];
-        if (channel->texture_path && is_wanted(textures, channel->channel->name))
+    for (uint32_t c = 0; c <= material->channel_count; c++) {
+        const struct fmt_material_channel *channel =
+            c == 0 ? &material->color : &material->channels[c - 1];
+        const bool wanted =
+            c == 0 ? !textures->only_channels : is_wanted(textures, channel->channel->name);
+        if (channel->texture_path && wanted)
             out[count++] = (struct candidate){.material = material,
                                               .path = channel->texture_path,
                                               .place = channel->texture_place};
@@ -244,10 +244,8 @@ static int check_given(struct bsq_ctx *ctx, const char *path, const struct scan_
 /* Returns what of a channel of a material cannot be used, or NULL. */
 static const char *loss_of(const struct fmt_material *material, const char *channel)
 {
-    for (uint32_t c = 0; c < material->channel_count; c++)
-        if (strcmp(material->channels[c].channel->name, channel) == 0)
-            return material->channels[c].loss;
-    return NULL;
+    const struct fmt_material_channel *own = fmt_material_find_channel(material, channel);
+    return own ? own->loss : NULL;
 }
 
 /* Warns, once for each channel that is kept, of what readers cannot use of it. */
@@ -335,9 +333,9 @@ static const char *color_texture(const struct scan_textures *textures, const cha
 {
     if (path)
         return path;
-    return material->texture_path && !material->opaque &&
-                   vox_textures_have(textures, material->texture_path)
-               ? material->texture_path
+    return material->color.texture_path && !material->opaque &&
+                   vox_textures_have(textures, material->color.texture_path)
+               ? material->color.texture_path
                : NULL;
 }
 
@@ -373,7 +371,7 @@ int vox_textures_use_alpha(struct scan *scan, const struct scan_textures *textur
             bsq_fail(scan->ctx, status, "%s", text);
         else if (texture && fmt_texture_has_alpha(images, i))
             status = add_alpha(scan->ctx, textures, channel, texture,
-                               path ? &unmoved : &material->uv, material, &lost);
+                               path ? &unmoved : &material->color.uv, material, &lost);
     }
     fmt_textures_close(images);
     if (status == 0 && lost)

@@ -14,7 +14,7 @@ static int use(struct bsq_ctx *ctx, const char *const *paths, uint32_t count)
         const struct fmt_material *m = &materials.list[i];
         require(m->name != NULL, "a material has no name");
         for (int k = 0; k < 3; k++)
-            require(isfinite(m->diffuse[k]), "a colour is not finite");
+            require(isfinite(m->color.value[k]), "a colour is not finite");
     }
     fmt_materials_free(ctx, &materials);
     return status;

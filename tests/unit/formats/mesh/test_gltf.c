@@ -417,11 +417,11 @@ TEST(test_textures)
         gltf_read(&f, gltf_write("scan", json, &b));
         assert_int_equal(fmt_mesh_read_materials(f.reader, &materials), 0);
         assert_int_equal(materials.count, 2);
-        assert_true(materials.list[0].has_diffuse && !materials.list[1].has_diffuse);
-        assert_near(materials.list[0].diffuse[1], 1.055 * pow(0.5, 1 / 2.4) - 0.055, 1e-6);
+        assert_true(materials.list[0].color.has_value && !materials.list[1].color.has_value);
+        assert_near(materials.list[0].color.value[1], 1.055 * pow(0.5, 1 / 2.4) - 0.055, 1e-6);
         static const char *const names[] = {"wall a.png",
                                             "scan.gltf#base64=", "scan.bin#bytes=8+5"};
-        assert_non_null(strstr(materials.list[1].texture_path, names[i]));
+        assert_non_null(strstr(materials.list[1].color.texture_path, names[i]));
         fmt_materials_free(f.ctx, &materials);
         obj_assert_material(&f, f.scan.materials[0], "b");
         /* u' = 3 v + 0.5 and v' = -2 u + 0.125, and v upwards. */

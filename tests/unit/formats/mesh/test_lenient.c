@@ -103,9 +103,9 @@ TEST(test_names_of_files)
     const float expected[3][3] = {{1, 0, 0}, {0, 1, 0}, {0.8f, 0.8f, 0.8f}};
     assert_int_equal(m.count, 3);
     for (int i = 0; i < 3; i++)
-        assert_memory_equal(m.list[i].diffuse, expected[i], sizeof expected[i]);
-    assert_string_equal(m.list[0].texture_path, "tex a.PNG");
-    assert_false(m.list[2].has_diffuse);
+        assert_memory_equal(m.list[i].color.value, expected[i], sizeof expected[i]);
+    assert_string_equal(m.list[0].color.texture_path, "tex a.PNG");
+    assert_false(m.list[2].color.has_value);
     fmt_materials_free(f.ctx, &m);
     obj_close(&f);
 }

@@ -51,7 +51,7 @@ static void read_text(struct fixture *f, const char *text)
 
 static void assert_diffuse(const struct fmt_material *m, float r, float g, float b)
 {
-    assert_true(m->diffuse[0] == r && m->diffuse[1] == g && m->diffuse[2] == b);
+    assert_true(m->color.value[0] == r && m->color.value[1] == g && m->color.value[2] == b);
 }
 
 TEST(test_diffuse)
@@ -63,10 +63,10 @@ TEST(test_diffuse)
     assert_int_equal(f.materials.count, 5);
     assert_string_equal(f.materials.list[0].name, "red paint");
     assert_diffuse(&f.materials.list[0], 1, 0, 0.5f);
-    assert_true(f.materials.list[0].has_diffuse);
+    assert_true(f.materials.list[0].color.has_value);
     assert_diffuse(&f.materials.list[1], 0.25f, 0.25f, 0.25f);
     assert_diffuse(&f.materials.list[2], 0.8f, 0.8f, 0.8f);
-    assert_false(f.materials.list[2].has_diffuse);
+    assert_false(f.materials.list[2].color.has_value);
     assert_diffuse(&f.materials.list[3], 1, 0, 1);
     assert_diffuse(&f.materials.list[4], 0.1f, 0, 0);
     /* Colours that are no numbers of red, green and blue, and one that is clamped. */
@@ -102,7 +102,7 @@ TEST(test_map_paths)
         char text[300];
         snprintf(text, sizeof text, "newmtl a\n%s\n", cases[i].statement);
         read_text(&f, text);
-        assert_string_equal(f.materials.list[0].texture_path, cases[i].expected);
+        assert_string_equal(f.materials.list[0].color.texture_path, cases[i].expected);
         assert_int_equal(f.warnings, 0);
         close_fixture(&f);
     }
@@ -179,7 +179,7 @@ TEST(test_large_numbers)
     const struct fmt_material *m = &f.materials.list[0];
     assert_int_equal(m->channel_count, 1);
     assert_true(m->channels[0].value[0] == 2 && m->channels[0].value[2] == 4);
-    assert_true(m->uv.scale[0] == 1 && m->uv.offset[0] == 0.5f);
+    assert_true(m->color.uv.scale[0] == 1 && m->color.uv.offset[0] == 0.5f);
     close_fixture(&f);
 }
 

@@ -114,8 +114,8 @@ TEST(test_several_files)
     struct fmt_materials materials;
     assert_int_equal(fmt_mesh_read_materials(f.reader, &materials), 0);
     assert_int_equal(materials.count, 2);
-    assert_true(materials.list[0].diffuse[0] == 1 && materials.list[0].diffuse[2] == 0);
-    assert_true(materials.list[1].diffuse[0] == 0 && materials.list[1].diffuse[2] == 1);
+    assert_true(materials.list[0].color.value[0] == 1 && materials.list[0].color.value[2] == 0);
+    assert_true(materials.list[1].color.value[0] == 0 && materials.list[1].color.value[2] == 1);
     fmt_materials_free(f.ctx, &materials);
     /* Reading again gives the same material numbers. */
     struct fmt_mesh_totals again;
@@ -149,8 +149,8 @@ TEST(test_many_materials)
         char name[32];
         sprintf(name, "m%d", i);
         assert_string_equal(materials.list[i].name, name);
-        assert_int_equal(materials.list[i].has_diffuse, i % 7 != 0);
-        assert_true(materials.list[i].diffuse[0] == (i % 7 ? (float)(i / 1e6) : 0.8f));
+        assert_int_equal(materials.list[i].color.has_value, i % 7 != 0);
+        assert_true(materials.list[i].color.value[0] == (i % 7 ? (float)(i / 1e6) : 0.8f));
     }
     fmt_materials_free(f.ctx, &materials);
     obj_close(&f);
@@ -291,7 +291,7 @@ CONTEXT_TEST(test_objects, 2, 64 << 20)
         for (int i = 0; i < 5; i++) {
             assert_string_equal(materials.list[i].name, expected[i].material);
             assert_string_equal(materials.list[i].object, expected[i].object);
-            assert_int_equal(materials.list[i].has_diffuse, i == 1 || i == 2);
+            assert_int_equal(materials.list[i].color.has_value, i == 1 || i == 2);
         }
         fmt_materials_free(ctx, &materials);
     }

@@ -177,7 +177,7 @@ TEST(test_corner_texcoords)
         obj_assert_material(&f, 0, "skin one.png");
         assert_int_equal(fmt_mesh_read_materials(f.reader, &materials), 0);
         assert_int_equal(materials.count, 2);
-        assert_non_null(strstr(materials.list[1].texture_path, "two.jpg"));
+        assert_non_null(strstr(materials.list[1].color.texture_path, "two.jpg"));
         fmt_materials_free(f.ctx, &materials);
         obj_close(&f);
     }
