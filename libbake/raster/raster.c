@@ -309,6 +309,19 @@ done:
     return status;
 }
 
+/* Fails because triangles cover so much of the map that their lists do not fit. */
+static int fail_lists(const struct bake_raster *raster, uint64_t entries)
+{
+    const uint64_t mib = 1 << 20, bytes = entries * sizeof *raster->triangles;
+    return bsq_fail(raster->ctx, BSQ_ENOMEM,
+                    "the memory budget is too small: low-poly triangles cover each other on the "
+                    "map, on average %.0f in each patch of %u x %u texels; lists of them need %llu "
+                    "MiB, %llu MiB are left: a smaller --size needs less",
+                    (double)entries / raster->patch_count, raster->options.patch_side,
+                    raster->options.patch_side, (unsigned long long)(bytes / mib + 1),
+                    (unsigned long long)(bsq_memory_left(raster->ctx) / mib));
+}
+
 /* Lists the patches that have triangles, and turns counts[] into the start of each patch's list. */
 static int number_patches(struct bake_raster *raster, uint64_t *counts)
 {
@@ -332,6 +345,8 @@ static int number_patches(struct bake_raster *raster, uint64_t *counts)
         sum += count;
     }
     raster->starts[patch] = sum;
+    if (sum > bsq_memory_left(raster->ctx) / sizeof *raster->triangles)
+        BSQ_TRY(fail_lists(raster, sum));
     status =
         bsq_alloc(raster->ctx, "patch lists", sum, sizeof *raster->triangles, &raster->triangles);
 done:

@@ -71,6 +71,16 @@ refused_like 71 '^bisque-voxelize: --memory: 1.0 KiB is too small, '
 files low.obj normal.exr vase.nvdb vase.obj vase.tris
 rm -f low.obj normal.exr
 
+# Triangles, of which each two cover the whole map.
+awk 'BEGIN {
+    print "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1"
+    for (i = 0; i < 4000; i++)
+        print i % 2 ? "f 3/3 2/2 1/1" : "f 4/4 3/3 1/1"
+}' >covering.obj
+run bisque-bake vase.nvdb covering.obj -o small.exr --maps mask --device cpu --size 2048 --memory 16M --as-is
+refused_like 71 'the memory budget is too small: low-poly triangles cover each other on the map, on average [0-9]+ in each patch of .* need [0-9]+ MiB, [0-9]+ MiB are left: a smaller --size needs less$'
+rm covering.obj
+
 # ---- disk ----
 
 # small_disk MIB ARGUMENT...: runs bisque-voxelize with a disk of that size at "disk".
