@@ -266,7 +266,7 @@ static int open_unnamed(struct bsq_ctx *ctx, const char *directory, int *fd)
         return error;
     error = bsq_temp_named(directory, name, 0600, &path, fd);
     if (error == 0)
-        unlink(path);
+        bsq_temp_remove(ctx, path);
     free(path);
     return error;
 }

@@ -421,7 +421,7 @@ void bsq_output_discard(struct bsq_output *output)
     if (!output)
         return;
     if (output->temp_path)
-        unlink(output->temp_path);
+        bsq_temp_remove(output->ctx, output->temp_path);
     free_output(output);
 }
 

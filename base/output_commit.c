@@ -208,7 +208,8 @@ static int commit_all(struct bsq_output *const *outputs, unsigned count)
     for (unsigned i = 0; status == 0 && i < count; i++) {
         bsq_note_written(outputs[i]->ctx, outputs[i]->noted);
         if (outputs[i]->exchanged) {
-            unlink(outputs[i]->temp_path); /* the file that this output has replaced */
+            /* the file that this output has replaced */
+            bsq_temp_remove(outputs[i]->ctx, outputs[i]->temp_path);
             forget_temp_name(outputs[i]);
         }
     }

@@ -54,6 +54,10 @@ bool bsq_temp_lacks_unnamed(int error);
 /* Creates a locked file with a name. Free *path with free(). */
 int bsq_temp_named(const char *directory, const char *name, mode_t mode, char **path, int *fd);
 
+/* Removes a temporary file. Tries twice; a file that stays is a warning, and left to the next job.
+ */
+void bsq_temp_remove(struct bsq_ctx *ctx, const char *path);
+
 /* Gives an unnamed file a name and locks it. Free *path with free(). */
 int bsq_temp_link(int fd, const char *directory, const char *name, char **path);
 

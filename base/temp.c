@@ -294,3 +294,9 @@ int bsq_temp_link(int fd, const char *directory, const char *name, char **path)
     }
     return error;
 }
+
+void bsq_temp_remove(struct bsq_ctx *ctx, const char *path)
+{
+    if (unlink(path) != 0 && errno != ENOENT && unlink(path) != 0 && errno != ENOENT)
+        bsq_warn(ctx, "%s: this temporary file cannot be removed: %s", path, strerror(errno));
+}

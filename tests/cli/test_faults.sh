@@ -66,6 +66,7 @@ killed()
     torture -n $((kills / 4)) -p kill
     torture -m "$calls" kill-at
     torture -c name -p kill-at
+    torture -c remove -p EIO
     torture -m "$calls" -x 75 -c "open read write sync size name" interrupt
 }
 
@@ -100,6 +101,16 @@ writes_fail
 room_fails
 reads_fail
 killed
+
+# A temporary file that cannot be removed is named, and the next job removes it.
+LD_PRELOAD=$FAULTS FAULT_UNDER=$(pwd -P) FAULT_CALLS=remove FAULT_AT=1 FAULT_STICKY=1 FAULT_DO=EIO FAULT_PLAIN=1 \
+    ok run bisque-voxelize scan.obj -o a.nvdb --resolution 32 --no-tris
+holds "warnings name each file that stays" [ "$(grep -c 'warning: .*/[.]bisque[.].*[.]tmp: this temporary file cannot be removed: Input/output error$' "$err")" -eq \
+    "$(ls -A | grep -c '^[.]bisque[.].*[.]tmp$')" ]
+holds "a file stays" [ "$(ls -A | grep -c '[.]tmp$')" -gt 0 ]
+FAULT_UNDER=$(pwd -P) FAULT_PLAIN=1 LD_PRELOAD=$FAULTS ok run bisque-voxelize scan.obj -o a.nvdb --resolution 32 --no-tris
+holds "the next job removes them" [ "$(ls -A | grep -c '[.]tmp$')" -eq 0 ]
+rm -f a.nvdb
 
 # Without chunk file, so that chunks go to a temporary file.
 job a.nvdb -- bisque-voxelize scan.obj -o a.nvdb --resolution 32 --no-tris --threads 2
