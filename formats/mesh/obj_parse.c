@@ -138,7 +138,17 @@ __attribute__((cold, noinline)) static const char *parse_not_finite(struct parse
     if (!after)
         return fail_number(parser, p);
     *out = NAN;
+    parser->slot->finite = false;
     return after;
+}
+
+/* Returns whether some of these numbers of the line are not finite. */
+static inline bool any_nan(const struct parser *parser, const double *numbers, int count)
+{
+    bool any = false;
+    for (int i = 0; __builtin_expect(!parser->slot->finite, 0) && i < count; i++)
+        any |= isnan(numbers[i]) != 0;
+    return any;
 }
 
 /* Reads up to `most` numbers and sets *count. Numbers that are not finite become NaN. Returns NULL
@@ -194,7 +204,7 @@ static const char *parse_vertex_rest(struct parser *parser, const char *p)
         return fail(parser, "a vertex of more than 7 numbers, expected 3, 4, 6 or 7");
     if (__builtin_expect(count == 2, 0))
         note_odd(parser, OBJ_VERTEX_SIZE);
-    if (__builtin_expect(count >= 3 && isnan(extra[0] + extra[1] + extra[2]), 0)) {
+    if (count >= 3 && any_nan(parser, extra, 3)) {
         note_odd(parser, STREAM_NO_COLOR);
         count = 0;
     }
@@ -231,7 +241,7 @@ static const char *parse_vertex(struct parser *parser, const char *p)
             return NULL;
         p = after;
     }
-    if (__builtin_expect(isnan(position[0] + position[1] + position[2]), 0))
+    if (any_nan(parser, position, 3))
         note_odd(parser, STREAM_NO_POSITION);
     if (__builtin_expect(!fmt_mesh_line_end(p) || a->has_colors, 0) &&
         !(p = parse_vertex_rest(parser, p)))
@@ -252,10 +262,10 @@ static const char *parse_texcoord(struct parser *parser, const char *p)
     int given = 0;
     if (!(p = parse_numbers(parser, p, numbers, 3, &given)))
         return NULL;
-    if (given == 0)
+    if (given == 0 || any_nan(parser, numbers, 2)) {
         numbers[0] = NAN;
-    if (isnan(numbers[0] + numbers[1]))
         note_odd(parser, STREAM_NO_TEXCOORD);
+    }
     if (!(p = finish_line(parser, p)))
         return NULL;
     memcpy(a->texcoords[*count], numbers, sizeof a->texcoords[0]);
@@ -269,14 +279,14 @@ static const char *parse_normal(struct parser *parser, const char *p)
     uint64_t *count = &a->count[FMT_MESH_NORMAL];
     if (!RESERVE(parser, "OBJ normals", *count, a->normals, a->normal_capacity))
         return NULL;
-    double numbers[4] = {0};
+    double numbers[4];
     int given = 0;
     if (!(p = parse_numbers(parser, p, numbers, 4, &given)))
         return NULL;
-    if (given < 3)
-        numbers[0] = NAN;
-    if (isnan(numbers[0] + numbers[1] + numbers[2]))
+    if (given < 3 || any_nan(parser, numbers, 3)) {
+        numbers[0] = numbers[1] = numbers[2] = NAN;
         note_odd(parser, STREAM_NO_NORMAL);
+    }
     if (!(p = finish_line(parser, p)))
         return NULL;
     for (int i = 0; i < 3; i++)
