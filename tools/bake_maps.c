@@ -231,6 +231,14 @@ static void bake_maps_count_tile(void *arg, const struct bake_tile_info *tile)
     ++*(unsigned *)arg;
 }
 
+/* Replaces what could be a token, such as <MAP>, in a part of a path that is the name of a file. */
+static void take_literally(char *part, int length)
+{
+    for (int i = 0; i < length; i++)
+        if (part[i] == '<' || part[i] == '>')
+            part[i] = '_';
+}
+
 /* If the output is a folder, makes the names of maps in it: by the low-poly mesh, or by object if
  * there are several meshes. */
 static int name_in_folder(struct cli *cli, struct bake_arguments *arguments)
@@ -261,6 +269,8 @@ static int name_in_folder(struct cli *cli, struct bake_arguments *arguments)
                  by_object ? BAKE_OBJECT_TOKEN : "", stem, name,
                  tiles > 1 ? "." BAKE_UDIM_TOKEN : "", suffixes[bake->preset]) < 0)
         arguments->output = NULL;
+    else
+        take_literally(arguments->output + length + !slashed, stem);
     bake->output_path = arguments->output;
     return arguments->output ? 0 : bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", path);
 }

@@ -93,6 +93,9 @@ refused 73 "$p missing/: there is no such folder"
 cp low.obj second.obj
 ok $bake scan.nvdb low.obj second.obj -o maps/ --maps mask --json
 json '[.tiles[].maps.mask] | sort == ["maps/low_mask.exr", "maps/second_mask.exr"]'
+cp low.obj '<MAP>.obj'
+ok $bake scan.nvdb '<MAP>.obj' -o maps/ --maps mask --json
+json '.tiles[0].maps.mask == "maps/_MAP__mask.exr"'
 ok run bisque-bake --list tiles low.obj --size 4k --json
 json '.tiles[0].width == 4096'
 ok run bisque-bake --list tiles low.obj --size 1kx512 --json
