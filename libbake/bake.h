@@ -238,10 +238,11 @@ struct bake_options {
     bool filter_rays;
     bool ao_falloff;         /**< A surface hides less the farther it is: nothing at ao_distance. */
     uint32_t thickness_rays; /**< The same for BAKE_MAP_THICKNESS. */
-    /** Length of these rays, which is also the sample 1 of integer files; <= 0: the diagonal of the
-     * scan's bounding box, and for the sample 1 the mean of the whole mesh plus twice its standard
-     * deviation. */
+    /** Length of these rays; <= 0: the diagonal of the scan's bounding box. */
     double thickness_distance;
+    /** Thickness that the sample 1 of an integer file stands for; < 0: thickness_distance or, if
+     * that is not given, the mean of the whole mesh plus twice its standard deviation. */
+    double thickness_range;
     bool two_sided; /**< Also takes surfaces that face away from the low-poly mesh. */
     /** Percentage of the samples that may miss before a farm stops, 0 to 100. The report has the
      * misses; this is for the caller, who finds it in plans. */

@@ -206,7 +206,9 @@ static void encode_thickness(const struct bake_encoding_facts *facts, struct bak
     double white = bake_thickness_distance(facts->options, traced->scan_min, traced->scan_max);
     const double mean = bake_statistics_mean(statistics);
     const double variance = bake_statistics_mean_square(statistics) - mean * mean;
-    if (!(facts->options->thickness_distance > 0) && mean > 0)
+    if (facts->options->thickness_range > 0)
+        white = facts->options->thickness_range;
+    else if (!(facts->options->thickness_distance > 0) && mean > 0)
         white = fmin(statistics->largest, mean + 2 * sqrt(fmax(variance, 0)));
     out->range = 0.5 * white;
     if (facts->integers)

@@ -136,6 +136,9 @@ static const struct bsq_option table[] = {
     {KEY("range", "curvature", "C", "curvature of white (default: by the whole mesh)"),
      .words = "auto", NUMBER(curvature_range, MOST_LENGTH, -1), .positive = true,
      .needs = BAKE_MAP_CURVATURE},
+    {KEY("range", "thickness", "D", "thickness of white (default: by the whole mesh)"),
+     .words = "auto", NUMBER(thickness_range, MOST_LENGTH, -1), .positive = true,
+     .needs = BAKE_MAP_THICKNESS},
     {KEY("range", "position", "SHAPE", "sphere or box around the scan"),
      CHOICE(position_in, "sphere box"), .needs = BAKE_MAP_POSITION},
 

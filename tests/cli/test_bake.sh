@@ -93,7 +93,7 @@ for range in 0 -1 none nan; do
     $bake $good --range height=$range
     refused 64 "$p --range height: \"$range\" is not a positive number"
 done
-for option in "range height" "range curvature" "distance ao" "distance thickness"; do
+for option in "range height" "range curvature" "range thickness" "distance ao" "distance thickness"; do
     # shellcheck disable=SC2086 # an option and its key
     $bake $good --maps normal --$option=1e308
     refused_like 64 "^$p --$option: 1e308 is above "
@@ -370,6 +370,14 @@ $bake $small $heights plain.nvdb tiles.obj -o 'alone_<UDIM>.png' --tiles 1002 --
 json ".encodings.height.range as \$second | $range == ([$first, \$second] | max) and $first != \$second"
 for tile in 1001 1002; do
     ok $bake $small $heights plain.nvdb tiles.obj -o 'given_<UDIM>.png' --tiles $tile --range height="$range"
+    same given_$tile.png both_$tile.png
+done
+# White of thickness is twice the range that the report has.
+thick="--maps thickness --front 0.3 --back 0.3 --rays thickness=8"
+ok $bake $small $thick plain.nvdb tiles.obj -o 'both_<UDIM>.png' --json
+white=$(jq '2 * .encodings.thickness.range' "$out")
+for tile in 1001 1002; do
+    ok $bake $small $thick plain.nvdb tiles.obj -o 'given_<UDIM>.png' --tiles $tile --range thickness="$white"
     same given_$tile.png both_$tile.png
 done
 rm both_* alone_* given_* tiles.obj

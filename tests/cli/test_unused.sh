@@ -42,6 +42,7 @@ unused "the map ao or bent" --rays ao=2 -- --maps ao -o map.png
 unused "the map ao or bent" --ao spread=90 -- --maps bent -o map.png
 unused "the map ao or bent" --distance ao=1 -- --maps mask,bent -o '<MAP>.png'
 unused "the map ao or bent or thickness" --ao coarse=none -- --maps bent -o map.png
+unused "the map thickness" --range thickness=1 -- --maps thickness -o map.png
 unused "the map thickness" --rays thickness=2 -- --maps thickness -o map.png
 unused "the map thickness" --distance thickness=1 -- --maps thickness -o map.png
 unused "the map normal or bent" --normal space=object -- --maps normal -o map.png
