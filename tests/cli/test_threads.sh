@@ -25,7 +25,7 @@ for threads in 1 8; do
     done
     ok run bisque-compare $threads/nvdb_normal.exr $threads/tris_normal.exr --mask-a $threads/nvdb_mask.exr \
         --mask-b $threads/tris_mask.exr --heatmap $threads/heat.png --json --threads $threads
-    jq -S 'del(.cost) | walk(if type == "string" then sub("^[18]/"; "") else . end)' "$out" \
+    jq -S 'del(.cost, .files_read) | walk(if type == "string" then sub("^[18]/"; "") else . end)' "$out" \
         >$threads/compared.json
 done
 (cd 1 && ls) >names
