@@ -1,7 +1,7 @@
 /** @file
  * Options as tables. A row says what an option is called, which values it takes, and which member
- * of a structure holds its value. Defaults, checks, the command line, its help and the plans of
- * farms all follow from the rows. */
+ * of a structure holds its value. Defaults, checks, the command line, its help and what the parts
+ * of a bake must share all follow from the rows. */
 #ifndef BSQ_OPTIONS_H
 #define BSQ_OPTIONS_H
 
@@ -33,11 +33,11 @@ struct bsq_option {
     char letter;          /**< Of the short form, or 0. */
     const char *heading;  /**< Of the rows from here on in the help; NULL: the same as before. */
     bool own_syntax;      /**< The program parses the value. */
-    bool with_plan;       /**< May be given beside a plan, which has all other options. */
+    bool finishes;        /**< Has no effect on what parts of a bake contain. */
     const char *argument; /**< What the help calls the value; NULL: takes none. */
     const char *help;     /**< Lines, with newlines between them. NULL: understood, but hidden. */
     enum bsq_option_kind kind; /**< What the member holds. */
-    const char *member;        /**< Its name, also in plans. NULL: no member. */
+    const char *member;        /**< Its name. NULL: no member. */
     size_t offset;             /**< Where it is in the structure. */
     size_t bytes;              /**< Its size. */
     /** Words with spaces between them, and '/' between words that mean the same. */

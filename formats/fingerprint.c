@@ -2,7 +2,7 @@
  *
  * Textures and meshes have no checksums, and are read wholly: 0.14 s for each GB that the system
  * has in memory (AMD EPYC), and as long as the disk takes otherwise. Chunk files and grids may be
- * larger than all else, and a task that reads one on another machine must not read 100 GB of it
+ * larger than all else, and a part of a bake on another machine must not read 100 GB of it
  * twice. The header of a chunk file has a checksum that covers those of all chunks, by which each
  * chunk is checked when it is loaded. */
 #include "formats/fingerprint.h"
@@ -11,7 +11,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 #include <xxhash.h>
 
 #include "formats/chunks/tris.h"
@@ -66,7 +65,7 @@ done:
 }
 
 static int hash_file(struct bsq_ctx *ctx, const struct bsq_file *file, enum fmt_kind kind,
-                     char hash[33])
+                     char hash[FMT_FINGERPRINT_BYTES])
 {
     XXH3_state_t *state = XXH3_createState();
     int status;
@@ -78,46 +77,21 @@ static int hash_file(struct bsq_ctx *ctx, const struct bsq_file *file, enum fmt_
                                   : fingerprint_add_file(ctx, file, kind, state));
     BSQ_TRY(bsq_file_check(ctx, file));
     const XXH128_hash_t digest = XXH3_128bits_digest(state);
-    snprintf(hash, 33, "%016" PRIx64 "%016" PRIx64, digest.high64, digest.low64);
+    snprintf(hash, FMT_FINGERPRINT_BYTES, "%016" PRIx64 "%016" PRIx64, digest.high64, digest.low64);
 done:
     XXH3_freeState(state);
     return status;
 }
 
-int fmt_fingerprint(struct bsq_ctx *ctx, const char *path, struct fmt_fingerprint *out)
+int fmt_fingerprint(struct bsq_ctx *ctx, const char *path, char out[FMT_FINGERPRINT_BYTES])
 {
-    const time_t settled = time(NULL) - BSQ_SETTLED_SECONDS;
     struct bsq_file file = BSQ_FILE_CLOSED;
     enum fmt_kind kind;
     int status = 0;
-    *out = (struct fmt_fingerprint){0};
     BSQ_TRY(fmt_recognise(ctx, path, &kind));
     BSQ_TRY(bsq_file_open(ctx, path, &file));
-    out->bytes = file.size;
-    if (file.identity.changed.tv_sec <= settled)
-        bsq_identity_text(&file.identity, out->identity);
-    status = hash_file(ctx, &file, kind, out->hash);
+    status = hash_file(ctx, &file, kind, out);
 done:
     bsq_file_close(ctx, &file);
-    return status;
-}
-
-int fmt_is_same(struct bsq_ctx *ctx, const char *path, uint64_t bytes, const char *hash,
-                const char *identity, bool *same)
-{
-    struct fmt_fingerprint now;
-    struct bsq_file file;
-    char text[BSQ_IDENTITY_BYTES];
-    int status = bsq_file_open(ctx, path, &file);
-    if (status < 0)
-        return status;
-    bsq_identity_text(&file.identity, text);
-    const bool other_size = file.size != bytes;
-    bsq_file_close(ctx, &file);
-    *same = strcmp(text, identity) == 0;
-    if (*same || other_size)
-        return 0;
-    status = fmt_fingerprint(ctx, path, &now);
-    *same = strcmp(now.hash, hash) == 0;
     return status;
 }

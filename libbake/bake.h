@@ -177,8 +177,8 @@ struct bake_options {
     uint32_t transfer_count;       /**< Entries of transfers. */
     const struct bake_pack *packs; /**< Maps that share files. */
     uint32_t pack_count;           /**< Entries of packs. */
-    /** For the caller, who sets other options by it, and finds it in plans. Likewise the preset:
-     * 0 none, or a number from 1 on. */
+    /** For the caller, who sets other options by it. Likewise the preset: 0 none, or a number from
+     * 1 on. */
     enum bake_quality quality;
     uint32_t preset; /**< See quality. */
     /** Output path. "<MAP>" in it stands for the map's name, see bake_map_name(), "<UDIM>" and
@@ -245,9 +245,11 @@ struct bake_options {
     double thickness_range;
     bool two_sided; /**< Also takes surfaces that face away from the low-poly mesh. */
     /** Percentage of the samples that may miss before a farm stops, 0 to 100. The report has the
-     * misses; this is for the caller, who finds it in plans. */
+     * misses; this is for the caller. */
     double max_missed;
-    bool strict; /**< Lost data stops tasks and merges of a plan; for the caller, likewise. */
+    bool strict;    /**< For the caller, too, who sets bsq_set_strict(). */
+    uint32_t parts; /**< The bake is divided into so many parts; 0: it is not, see bake_run(). */
+    uint32_t part;  /**< The one to bake, from 1 on; 0: all parts are merged. */
     /** One of BAKE_DEVICE_NAMES; NULL or "": "cpu" if it needs no longer than a GPU takes to open,
      * about half a second, else "auto". */
     const char *device;
@@ -258,7 +260,7 @@ struct bake_options {
      * 0: lines. */
     uint32_t exr_tile_side;
     /** Output: the low-poly mesh with the maps normal, color, ao, and transfer maps roughness and
-     * metallic, as a glTF file (GLB), or NULL. Tasks of a farm do not write it. */
+     * metallic, as a glTF file (GLB), or NULL. */
     const char *glb_path;
     const char *preview_path; /**< Output: a preview, PNG, or NULL. */
     uint32_t preview_views;   /**< Views around the mesh, to BAKE_MAX_VIEWS. */
@@ -269,7 +271,7 @@ struct bake_options {
     double preview_above; /**< How far all views look down, in degrees. */
     /** Gets the rows of all maps, never concurrently; NULL: nobody does. Of a map that several
      * objects or tiles have, one file's rows come after the other's. A negative status ends the job
-     * and is returned. Plans do not keep it. */
+     * and is returned. */
     int (*on_rows)(void *user, const struct bake_rows *rows);
     void *rows_user; /**< Passed to on_rows. */
     bool rows_only;  /**< Maps have no files; output_path only chooses how samples are encoded. */
@@ -306,7 +308,8 @@ enum {
     BAKE_MAX_RAYS = 4096,       /**< Most rays of a texel for a map. */
     BAKE_AO_COARSE = 64,        /**< Default of bake_options.ao_coarse. */
     BAKE_MAX_VIEWS = 360,       /**< Most views of a preview. */
-    BAKE_MAX_EXR_TILE = 8192    /**< Largest side of a tile of an OpenEXR file. */
+    BAKE_MAX_EXR_TILE = 8192,   /**< Largest side of a tile of an OpenEXR file. */
+    BAKE_MAX_PARTS = 65536      /**< Most parts of a bake. */
 };
 
 /** Returns the name of a map, such as "normal". Map number 0, 1, ... has the bit 1 << number in
@@ -392,7 +395,8 @@ struct bake_report {
     uint64_t outside_uv_triangles;    /**< Of these, partly or wholly outside the baked tiles. */
     struct bake_baked_tile *tiles;    /**< The UDIM tiles that were baked, by set and number. */
     uint32_t tile_count;              /**< Entries of tiles. */
-    uint32_t traced_tiles;            /**< Of these, the ones that this job or task traces. */
+    uint32_t traced_tiles;            /**< Of these, the ones that this job traces. */
+    bool kept;                        /**< A part that was there already; nothing was done. */
     uint64_t expected_rays;           /**< Rays of all texels, before tracing. */
     double expected_seconds; /**< Of one core, for these rays; machines differ by a factor. */
     uint64_t covered_texels; /**< Texels with at least one sample inside a UV chart. */
@@ -402,7 +406,7 @@ struct bake_report {
     uint64_t
         overlapping_samples; /**< Samples in several triangles; the first triangle takes them. */
     /** Side of the cells by which the next two are counted, world units; 0: they are not known, as
-     * for tasks. A part of the scan counts as reached if a sample hit a surface that faces about
+     * for parts. A part of the scan counts as reached if a sample hit a surface that faces about
      * the same way in the cells around it. */
     double seen_cell;
     double unseen;          /**< Share of the scans' area that no sample reached. */
@@ -449,8 +453,16 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options);
  * work. If they fit much better after a turn by right angles, in other units, mirrored or turned
  * inside out, the bake fails with BSQ_EDATA and says so. It warns of other pairs that do not fit.
  *
+ * With options->part, only the texels of that part are baked, to files "part-I-of-N" beside the
+ * maps, which FORMATS.md describes: not if they are there already, whole and of the same inputs,
+ * options and version. The report counts them alone. With options->parts alone, the texels come
+ * from the files of all parts, and the outputs get the bytes of a bake that is not divided;
+ * tile_ranges then chooses which maps are written, without a GLB file and a preview. Paths and
+ * machines may differ. Parts may be baked, and tiles be merged, at once.
+ *
  * All maps are complete on the disk before the first gets its final name, so a failure leaves none
- * of them. Errors: BSQ_ENOINPUT; BSQ_EDATA for a low-poly mesh without texture coordinates, for a
+ * of them. Errors: BSQ_ENOINPUT, also for parts, which it names; BSQ_EDATA for a damaged part or
+ * one of another bake, for a low-poly mesh without texture coordinates, for a
  * colour map of a scan without colours, for a damaged input, and if no ray hits the scan;
  * BSQ_ENODEVICE; BSQ_EUSAGE for options that contradict each other and for a device name that is
  * not one of BAKE_DEVICE_NAMES; BSQ_ENOMEM; BSQ_ECANTCREAT; BSQ_EIO; BSQ_EINTR. */
@@ -473,75 +485,6 @@ int bake_page_take(void *page, const struct bake_rows *rows);
 int bake_page_finish(struct bake_page *page, const char *json);
 /** Frees a page, and removes it if it is not finished; NULL is allowed. */
 void bake_page_close(struct bake_page *page);
-
-/* ---- a bake as tasks ---- */
-
-/** Most tasks of a plan. */
-enum { BAKE_MAX_TASKS = 65536 };
-
-/** What a task is expected to need. These are estimates, for schedulers. */
-struct bake_task_cost {
-    uint64_t texels;        /**< With a surface of the low-poly mesh. */
-    uint64_t memory_bytes;  /**< With eight threads, at full speed; it works with less. */
-    uint64_t scratch_bytes; /**< Of temporary files with a smaller budget. */
-    uint64_t part_bytes;    /**< The size of its part file, at most. */
-    double cpu_seconds;     /**< Of one core; machines differ by a factor. */
-};
-
-/** A plan: a bake with all that its tasks must share. */
-struct bake_farm_plan;
-
-/** Writes the plan of a bake for `tasks` tasks to `path`. Measures the automatic distances and the
- * radius of curvature, finds maps and UDIM tiles, computes checksums of all inputs, and divides the
- * maps. *kept: the same plan was there already. Fills in the report as far as it is known; the
- * caller frees it with bake_report_free(). Errors: those of bake_run(); BSQ_EUSAGE for a number of
- * tasks that is not 1 to BAKE_MAX_TASKS, for an input that is a pipe, and for a file name that is
- * not UTF-8. */
-int bake_write_plan(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t tasks,
-                    const char *path, bool *kept, struct bake_report *report);
-
-/** Reads a plan; free *out with bake_close_plan(). Errors: BSQ_ENOINPUT; BSQ_EDATA for a file that
- * is no plan, is damaged, or was written by another version of Bisque; those of
- * bake_check_options(). */
-int bake_open_plan(struct bsq_ctx *ctx, const char *path, struct bake_farm_plan **out);
-/** Frees a plan; NULL is allowed. */
-void bake_close_plan(struct bake_farm_plan *plan);
-
-/** What a plan has; valid until it is closed. */
-struct bake_plan_facts {
-    const struct bake_options *options; /**< Of the bake. */
-    uint32_t tasks;                     /**< Their number. */
-    uint32_t tiles;                     /**< UDIM tiles; they count for each object or material with
-                                             maps of its own. */
-    const struct bake_task_cost *costs; /**< What each task is expected to need. */
-};
-/** Returns what a plan has. */
-struct bake_plan_facts bake_describe_plan(const struct bake_farm_plan *plan);
-/** Sets *out to the path of the part file of a task, which the caller frees with free(). Errors:
- * BSQ_ENOMEM. */
-int bake_plan_part_path(const struct bake_farm_plan *plan, uint32_t task, char **out);
-
-/** Bakes one task of a plan and writes its part file. device: traces its rays, as in struct
- * bake_options; NULL: that of the plan. The part is the same. Without `force`, a complete part of
- * the plan stays as it is, and *kept is set. May run several times at once. Fills in the report;
- * the caller frees it with bake_report_free(). Errors: those of bake_run(); BSQ_EDATA if an input
- * is not that of the plan; BSQ_EUSAGE if there is no such task. */
-int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32_t task,
-                  const char *device, bool force, bool *kept, struct bake_report *report);
-
-/** Stands for all tiles of a plan. */
-#define BAKE_ALL_TILES UINT32_MAX
-
-/** Writes maps of a plan from all part files: those of UDIM tile number `tile`, from 0 on, or with
- * BAKE_ALL_TILES all maps and the preview. The maps have the bytes that bake_run() would write.
- * Tiles may be merged at once on several machines; after them, BAKE_ALL_TILES writes the preview
- * and what is missing. Without `force`, maps that were merged from this plan before and were not
- * touched since stay as they are, and *kept is set if all are; the report then has their samples,
- * hits and misses. Fills in the report; the caller frees it with bake_report_free(). Errors: those
- * of bake_run(); BSQ_ENOINPUT, which names the missing parts; BSQ_EDATA for a part that is damaged
- * or of another plan; BSQ_EUSAGE if there is no such tile. */
-int bake_merge_plan(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32_t tile,
-                    bool force, bool *kept, struct bake_report *report);
 
 /** A UDIM tile that triangles of a low-poly mesh lie in. */
 struct bake_tile_info {

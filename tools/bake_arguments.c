@@ -9,10 +9,7 @@
 static const char usage[] =
     "Usage: bisque-bake [OPTION]... SCAN.nvdb LOW.obj... -o OUT_<MAP>.exr\n"
     "       bisque-bake [OPTION]... SCAN.tris LOW.obj... -o OUT_<MAP>.exr\n"
-    "       bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr --tasks N --plan PLAN\n"
-    "       bisque-bake --plan PLAN --task I\n"
-    "       bisque-bake --plan PLAN --merge [--task I]\n"
-    "       bisque-bake --plan PLAN\n"
+    "       bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr --part I/N | --merge N\n"
     "       bisque-bake --list devices\n"
     "       bisque-bake --list tiles LOW.obj...\n"
     "Bakes the normals and colours of a scan into texture maps of a low-poly mesh: fast from a\n"
@@ -164,6 +161,18 @@ static int parse_suffixes(struct cli *cli, struct bake_arguments *arguments, con
     return 0;
 }
 
+/* Parses "3/64". */
+static int parse_part(struct cli *cli, const char *text, struct bake_options *options)
+{
+    const char *at = text;
+    if (take_number(&at, BAKE_MAX_PARTS, &options->part) && bake_args_take(&at, '/') &&
+        take_number(&at, BAKE_MAX_PARTS, &options->parts) && *at == '\0' &&
+        options->part <= options->parts)
+        return 0;
+    return cli_usage(cli, "--part: \"%s\" is not I/N, such as 3/64, with N to %d", text,
+                     BAKE_MAX_PARTS);
+}
+
 static int parse_list(struct cli *cli, struct bake_arguments *arguments, const char *text)
 {
     unsigned kind = 0;
@@ -193,8 +202,8 @@ static int bake_args_take_option(struct cli *cli, void *arg, const struct bsq_op
                    ? 0
                    : cli_usage(cli, "--device: \"%s\" is not " BAKE_DEVICE_NAMES, text);
     }
-    if (strcmp(name, "task") == 0)
-        return bake_farm_parse(cli, name, text, &arguments->farm.task);
+    if (strcmp(name, "part") == 0)
+        return parse_part(cli, text, bake);
     if (strcmp(name, "list") == 0)
         return parse_list(cli, arguments, text);
     return bake_maps_take(cli, arg, row, text);
@@ -221,20 +230,21 @@ struct cli_table bake_arguments_table(const struct bake_arguments *arguments)
 static int bake_args_check(struct cli *cli, struct bake_arguments *arguments)
 {
     struct bake_options *bake = &arguments->bake;
+    const struct cli_table table = bake_arguments_table(arguments);
     const int count = arguments->file_count;
     if (arguments->list_devices)
         return count == 0 ? 0 : cli_usage(cli, "--list devices takes no files");
     if (arguments->list_tiles)
         return count > 0 ? 0 : cli_usage(cli, "--list tiles takes files: LOW.obj...");
-    if (bake_farm_check(cli, arguments) < 0)
-        return BSQ_EUSAGE;
-    if (arguments->farm.plan)
-        return 0;
     if (count < 2)
         return cli_usage(cli, "%d input file%s given, not two: SCAN.nvdb and LOW.obj (see --help)",
                          count, count == 1 ? "" : "s");
     if (bake->ao_falloff && bake->ao_distance <= 0)
         return cli_usage(cli, "--ao falloff=linear needs --distance ao=D");
+    if (bake->part && cli_is_given(&table, "merge"))
+        return cli_usage(cli, "--part and --merge exclude each other");
+    if (bake->page_path && (bake->part || (bake->parts && bake->tile_range_count > 0)))
+        return cli_usage(cli, "--report shows whole bakes: give it to --merge without --tiles");
     if (!bake->output_path)
         return cli_usage(cli, "no output given: add -o 'OUT_<MAP>.exr'");
     arguments->bake.strict = cli->strict;
@@ -247,7 +257,6 @@ int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int 
         .usage = usage,
         .print_more = bake_maps_print,
         .tables = {bake_arguments_table(arguments),
-                   {bake_task_rows, BAKE_TASK_ROWS, &arguments->farm, NULL},
                    {list_rows, LIST_ROWS, arguments, NULL},
                    {cli_rows, sizeof cli_rows / sizeof *cli_rows, cli, NULL}},
         .take = bake_args_take_option,
@@ -274,7 +283,6 @@ int bake_arguments_map_inputs(struct cli *cli, struct bake_arguments *arguments)
     BSQ_TRY(cli_map_inputs(cli, &table));
     for (uint32_t i = 0; i < arguments->transfers.count; i++)
         BSQ_TRY(cli_map_input(cli, &arguments->transfers.maps[i].texture_path));
-    status = cli_map_input(cli, &arguments->farm.plan);
 done:
     return status;
 }

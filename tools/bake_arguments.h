@@ -3,7 +3,7 @@
 #define BAKE_ARGUMENTS_H
 
 #include "libbake/bake.h"
-#include "tools/bake_farm.h"
+#include "tools/cli.h"
 
 /* A list of transfer maps; the names are owned. */
 struct bake_transfers {
@@ -21,7 +21,6 @@ struct bake_arguments {
     char *output;                   /* made of the name of a folder; NULL: none */
     bool mask_opacity;              /* the mask is multiplied by the scan's opacity */
     bool list_devices, list_tiles;
-    struct bake_tasks farm;
     char **files; /* the inputs, as given */
     int file_count;
     char *suffixes;     /* of names to match, with a zero between them; NULL: not given */

@@ -140,13 +140,13 @@ static void print_coverage(const struct bake_arguments *arguments, const struct 
                   cli_counted_text(report->low_polygons, "polygon", "polygons", triangles));
 }
 
-/* Prints how much of the scan no ray reached, and what that may be if it is much. tasks: of a bake
- * in tasks, which do not count it. */
-static void print_unseen(const struct bake_report *report, bool tasks)
+/* Prints how much of the scan no ray reached, and what that may be if it is much. parts: of a bake
+ * in parts, which do not count it. */
+static void print_unseen(const struct bake_report *report, bool parts)
 {
     if (!(report->seen_cell > 0)) {
         cli_print("how much of the scan no ray reached was not counted%s\n",
-                  tasks ? ": bakes in tasks do not; one without, also of a small map, does" : "");
+                  parts ? ": bakes in parts do not; one without, also of a small map, does" : "");
         return;
     }
     cli_print("%.1f %% of the scan's area was reached by no ray, counted in cells of %.2g",
@@ -207,7 +207,7 @@ static int bake_report_text(const struct cli *cli, const struct bake_arguments *
               cli_count_text(report->misses, misses), percent(report->misses, report->samples),
               report->front, report->back, report->device);
     print_voxels(report);
-    print_unseen(report, arguments->farm.merge);
+    print_unseen(report, bake->parts > 0);
     for (uint32_t i = 0; i < report->tile_count; i++)
         BSQ_TRY(bake_list_files(cli->ctx, bake, &report->tiles[i], print_map, report));
     if (bake->preview_path)
@@ -452,20 +452,30 @@ done:
     return status;
 }
 
-int bake_report_print_tile(struct cli *cli, const struct bake_arguments *arguments,
-                           struct bake_report *report, uint32_t tile)
+int bake_report_print_part(struct cli *cli, const struct bake_arguments *arguments,
+                           const struct bake_report *report)
 {
     const struct bake_options *bake = &arguments->bake;
-    const struct bake_baked_tile *of = &report->tiles[tile];
+    char part[CLI_TEXT], samples[CLI_TEXT], misses[CLI_TEXT];
+    snprintf(part, sizeof part, "part %u/%u", bake->part, bake->parts);
+    if (report->kept)
+        return cli_say_kept(cli, bake->output_path, part);
     if (cli->json)
-        return cli_print_json(cli, json_pack("{s:o, s:b, s:i, s:i, s:o}", "path",
-                                             cli_json_text(arguments->farm.plan), "kept", 0,
-                                             "merge_tile", (int)tile, "tile", (int)of->tile, "maps",
-                                             maps_json(cli, bake, of)));
-    int status = bake_list_files(cli->ctx, bake, of, print_map, report);
-    if (status == 0)
-        cli_print_cost(cli);
-    return status;
+        return cli_print_json(
+            cli, json_pack("{s:o, s:b, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:f, s:f}", "path",
+                           cli_json_text(bake->output_path), "kept", 0, "part", (int)bake->part,
+                           "parts", (int)bake->parts, "device", cli_json_text(report->device),
+                           CLI_COUNT(report, covered_texels), CLI_COUNT(report, samples),
+                           CLI_COUNT(report, hits), CLI_COUNT(report, misses),
+                           CLI_VALUE(report, front), CLI_VALUE(report, back)));
+    cli_print("%s: %s, %s, %s without surface", bake->output_path, part,
+              cli_counted_text(report->samples, "sample", "samples", samples),
+              cli_count_text(report->misses, misses));
+    if (report->device[0])
+        cli_print(", on %s", report->device);
+    putchar('\n');
+    cli_print_cost(cli);
+    return 0;
 }
 
 bool bake_report_too_many_missed(const struct cli *cli, const struct bake_arguments *arguments,

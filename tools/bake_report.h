@@ -11,9 +11,9 @@ void bake_report_watch(struct cli *cli, const struct bake_report *report);
 int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
                       struct bake_report *report);
 
-/* Prints the maps of tile number `tile` of the report. */
-int bake_report_print_tile(struct cli *cli, const struct bake_arguments *arguments,
-                           struct bake_report *report, uint32_t tile);
+/* Prints what a part of a bake gave. */
+int bake_report_print_part(struct cli *cli, const struct bake_arguments *arguments,
+                           const struct bake_report *report);
 
 /* Returns whether more samples missed than --max-missed allows, and says so on standard error. */
 bool bake_report_too_many_missed(const struct cli *cli, const struct bake_arguments *arguments,

@@ -111,9 +111,6 @@ int cli_parse(struct cli *cli, const struct cli_command *command, int argc, char
 /* Returns whether an option was given. */
 bool cli_is_given(const struct cli_table *table, const char *name);
 
-/* Returns a row that was given, and that may (or may not) stand beside a plan; NULL if none was. */
-const struct bsq_option *cli_given(const struct cli_table *table, bool with_plan);
-
 /* Creates the context and lets SIGINT, SIGTERM and SIGHUP interrupt it. */
 int cli_create_context(struct cli *cli);
 
@@ -172,10 +169,6 @@ void cli_percent_begin(const struct cli *cli);
 
 /* Takes a report of the context. */
 void cli_percent_report(struct cli *cli, const struct bsq_progress *progress);
-
-/* Notes that a program does the job of its stages for the time `turn` of `turns`, from 0 on. Each
- * time has an equal share of the percentage. */
-void cli_percent_turn(struct cli *cli, uint32_t turn, uint32_t turns);
 
 /* Stops the heartbeat; prints 100 % after a success. Does nothing if nothing was begun. */
 void cli_percent_end(const struct cli *cli, bool success);

@@ -439,14 +439,6 @@ bool cli_is_given(const struct cli_table *table, const char *name)
     return given;
 }
 
-const struct bsq_option *cli_given(const struct cli_table *table, bool with_plan)
-{
-    for (const struct bsq_option *row = table->rows; row < table->rows + table->count; row++)
-        if (table->given[row - table->rows] && row->name && row->with_plan == with_plan)
-            return row;
-    return NULL;
-}
-
 /* ---- paths ---- */
 
 int cli_map_inputs(struct cli *cli, const struct cli_table *table)

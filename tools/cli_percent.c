@@ -23,10 +23,9 @@ static const struct stage {
     {"bisque-voxelize", "writing", 15, CLI_ONCE},
     {"bisque-voxelize", "voxelizing", 30, CLI_ONCE},
     {"bisque-voxelize", "reading parts", 9, CLI_ONCE},
-    {"bisque-bake", "planning", 1, CLI_EACH_TILE},
-    {"bisque-bake", "tracing", 65, CLI_EACH_TRACED_TILE},
+    {"bisque-bake", "tracing", 66, CLI_EACH_TRACED_TILE},
     {"bisque-bake", "measuring curvature", 14, CLI_EACH_TRACED_TILE},
-    {"bisque-bake", "reading parts", 4, CLI_ONCE},
+    {"bisque-bake", "reading parts", 4, CLI_EACH_TILE},
     {"bisque-bake", "filtering", 1, CLI_EACH_TILE},
     {"bisque-bake", "writing", 12, CLI_EACH_TILE},
     {"bisque-bake", "preview", 3, CLI_ONCE},
@@ -41,10 +40,9 @@ static struct {
     bool running, stopping;
     const struct cli *cli;
     const char *name;        /* of the stage that runs; NULL: none */
-    const char *last;        /* the stage that was begun last in this turn; NULL: none */
+    const char *last;        /* the stage that was begun last; NULL: none */
     const struct stage *row; /* of that stage in the table; NULL: none */
     uint32_t times;          /* how often it was begun before */
-    uint32_t turn, turns;    /* a job that is done several times, and how often; 0: once */
     double percent;          /* of all stages */
     double printed;          /* in the last line; < 0: none yet */
     struct timespec at;      /* when the last line was printed */
@@ -127,25 +125,10 @@ void cli_percent_report(struct cli *cli, const struct bsq_progress *progress)
     enter_stage(cli, progress);
     part = progress->finished ? 1 : fmin(part, 1);
     part = percent_at(cli, part);
-    if (state.turns > 1)
-        part = (100 * state.turn + part) / state.turns;
     state.percent = fmax(state.percent, part);
     print_if_new(cli);
     if (progress->finished)
         state.name = NULL;
-    pthread_mutex_unlock(&state.lock);
-}
-
-void cli_percent_turn(struct cli *cli, uint32_t turn, uint32_t turns)
-{
-    if (!cli_prints_percent(cli))
-        return;
-    pthread_mutex_lock(&state.lock);
-    state.turn = turn;
-    state.turns = turns;
-    state.last = NULL;
-    state.percent = fmax(state.percent, 100.0 * turn / turns);
-    print_if_new(cli);
     pthread_mutex_unlock(&state.lock);
 }
 

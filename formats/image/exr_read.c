@@ -18,6 +18,7 @@
 #include "formats/image/exr_internal.h"
 
 enum { UNPACKING_BYTES = 64 << 10 }; /* zlib needs at least this memory to unpack */
+enum { MOST_TILE_SIDE = 8192 };      /* of tiles that are read one by one */
 
 struct reader {
     struct fmt_exr_stream stream; /* first: OpenEXR's user data */
@@ -30,8 +31,9 @@ struct reader {
     uint32_t chunk_width, chunk_height, chunks_across, chunks_down;
     uint32_t *places, kept; /* of each channel in `samples`, UINT32_MAX: none; their number */
     float *samples;         /* of the image, or of one row of chunks */
-    uint32_t first;         /* row of chunks in them */
-    exr_decode_pipeline_t *decoders; /* one a worker */
+    uint32_t across;        /* texels of a line of them */
+    uint32_t first_row, first_column; /* of the chunks in them */
+    exr_decode_pipeline_t *decoders;  /* one a worker */
     unsigned workers;
     bool *ready;
     uint64_t reserved_bytes;
@@ -47,6 +49,7 @@ struct fmt_exr_rows {
     struct reader reader;
     struct fmt_exr_image image;
     uint32_t next; /* row */
+    uint32_t side; /* of tiles; 0: there are none, or they are no squares */
 };
 
 /* ---- errors ---- */
@@ -235,6 +238,8 @@ static int read_layout(struct reader *reader)
     int64_t height = (int64_t)reader->window.max.y - reader->window.min.y + 1;
     if (width < 1 || height < 1 || width > INT32_MAX || height > INT32_MAX)
         return refuse(reader, "the data window is empty or too large");
+    image->x = reader->window.min.x;
+    image->y = reader->window.min.y;
     image->width = (uint32_t)width;
     image->height = (uint32_t)height;
     reader->tiled = storage == EXR_STORAGE_TILED;
@@ -344,7 +349,7 @@ static exr_result_t unpack_chunk(exr_decode_pipeline_t *decoder)
 {
     const struct target *target = decoder->decoding_user_data;
     const struct reader *reader = target->reader;
-    const size_t line = (size_t)reader->image->width * reader->kept;
+    const size_t line = (size_t)reader->across * reader->kept;
     uint32_t width = (uint32_t)decoder->chunk.width, height = (uint32_t)decoder->chunk.height;
     const uint8_t *in = decoder->unpacked_buffer;
     if (!in)
@@ -386,8 +391,8 @@ static int decode_chunk(void *arg, uint64_t index, unsigned worker)
         width = reader->chunk_width;
     if (height > reader->chunk_height)
         height = reader->chunk_height;
-    size_t first = ((size_t)(row - reader->first) * reader->chunk_height * image->width +
-                    (size_t)column * reader->chunk_width) *
+    size_t first = ((size_t)(row - reader->first_row) * reader->chunk_height * reader->across +
+                    (size_t)(column - reader->first_column) * reader->chunk_width) *
                    reader->kept;
     struct target target = {reader, reader->samples + first};
     exr_chunk_info_t info;
@@ -418,8 +423,8 @@ static int decode_chunk(void *arg, uint64_t index, unsigned worker)
 
 /* ---- the file ---- */
 
-/* Allocates a decoder for each worker, and room for the samples of `lines` lines of the image. */
-static int exr_in_allocate(struct reader *reader, uint32_t lines)
+/* Allocates a decoder for each worker, and room for samples. */
+static int exr_in_allocate(struct reader *reader, uint32_t across, uint32_t lines)
 {
     struct bsq_ctx *ctx = reader->stream.ctx;
     const unsigned workers = reader->workers;
@@ -435,8 +440,9 @@ static int exr_in_allocate(struct reader *reader, uint32_t lines)
     reader->reserved_bytes = bytes;
     BSQ_TRY(bsq_calloc(ctx, "EXR decoders", workers, sizeof *reader->decoders, &reader->decoders));
     BSQ_TRY(bsq_calloc(ctx, "EXR decoders", workers, sizeof *reader->ready, &reader->ready));
-    status = bsq_alloc(ctx, "EXR image", (uint64_t)reader->image->width * lines,
-                       reader->kept * sizeof(float), &reader->samples);
+    reader->across = across;
+    status = bsq_alloc(ctx, "EXR image", (uint64_t)across * lines, reader->kept * sizeof(float),
+                       &reader->samples);
 done:
     return status;
 }
@@ -494,7 +500,7 @@ static int read_image(struct reader *reader)
     for (uint32_t c = 0; c < image->channel_count; ++c)
         reader->places[c] = c;
     reader->kept = image->channel_count;
-    BSQ_TRY(exr_in_allocate(reader, image->height));
+    BSQ_TRY(exr_in_allocate(reader, image->width, image->height));
     BSQ_TRY(bsq_parallel_for(reader->stream.ctx,
                              (uint64_t)reader->chunks_across * reader->chunks_down, decode_chunk,
                              reader));
@@ -579,8 +585,16 @@ static void exr_in_choose_channels(struct reader *reader)
         reader->places[alpha] = reader->kept++;
 }
 
-int fmt_exr_rows_open(struct bsq_ctx *ctx, const char *path, const struct bsq_file *input,
-                      struct fmt_exr_size *size, struct fmt_exr_rows **out)
+/* Returns the lines of the largest row of chunks. */
+static uint32_t row_height(const struct reader *reader)
+{
+    const uint32_t height = reader->image->height;
+    return reader->chunk_height < height ? reader->chunk_height : height;
+}
+
+/* Opens an image whose chunks one thread reads. Close *out also after a failure. */
+static int open_rows(struct bsq_ctx *ctx, const char *path, const struct bsq_file *input,
+                     bool colors, struct fmt_exr_rows **out)
 {
     struct fmt_exr_rows *rows;
     int status = bsq_calloc(ctx, "an EXR decoder", 1, sizeof *rows, &rows);
@@ -589,12 +603,19 @@ int fmt_exr_rows_open(struct bsq_ctx *ctx, const char *path, const struct bsq_fi
         return status;
     rows->reader = (struct reader){
         .stream = {.ctx = ctx, .path = path}, .input = input, .image = &rows->image, .workers = 1};
-    BSQ_TRY(exr_in_read_header(&rows->reader, true));
-    BSQ_TRY(allocate_places(&rows->reader));
+    status = exr_in_read_header(&rows->reader, colors);
+    return status < 0 ? status : allocate_places(&rows->reader);
+}
+
+int fmt_exr_rows_open(struct bsq_ctx *ctx, const char *path, const struct bsq_file *input,
+                      struct fmt_exr_size *size, struct fmt_exr_rows **out)
+{
+    int status = open_rows(ctx, path, input, true, out);
+    if (status < 0)
+        return status;
+    struct fmt_exr_rows *rows = *out;
     exr_in_choose_channels(&rows->reader);
-    BSQ_TRY(exr_in_allocate(&rows->reader, rows->reader.chunk_height < rows->image.height
-                                               ? rows->reader.chunk_height
-                                               : rows->image.height));
+    BSQ_TRY(exr_in_allocate(&rows->reader, rows->image.width, row_height(&rows->reader)));
     *size = (struct fmt_exr_size){rows->image.width, rows->image.height, rows->reader.kept};
 done:
     return status;
@@ -606,13 +627,83 @@ int fmt_exr_rows_read(struct fmt_exr_rows *rows, float *out)
     const size_t line = (size_t)rows->image.width * reader->kept;
     const uint32_t row = rows->next / reader->chunk_height, y = rows->next % reader->chunk_height;
     int status = 0;
-    reader->first = row;
+    reader->first_row = row;
     for (uint32_t column = 0; y == 0 && column < reader->chunks_across; ++column)
         BSQ_TRY(decode_chunk(reader, (uint64_t)row * reader->chunks_across + column, 0));
     memcpy(out, reader->samples + y * line, line * sizeof *out);
     rows->next++;
 done:
     return status;
+}
+
+/* ---- tiles ---- */
+
+/* Finds the place of each channel among those that the caller names. */
+static int exr_in_name_channels(struct reader *reader, const char *const *channels, uint32_t count)
+{
+    const struct fmt_exr_image *image = reader->image;
+    if (image->channel_count != count)
+        return refuse(reader, "it has other channels");
+    for (uint32_t i = 0; i < count; ++i) {
+        const uint32_t c = fmt_exr_channel(image, channels[i]);
+        if (c == UINT32_MAX)
+            return refuse(reader, "it has other channels");
+        reader->places[c] = i;
+    }
+    reader->kept = count;
+    return 0;
+}
+
+/* Finds the side of tiles: chunks of an image that is smaller than a tile are smaller, too. */
+static int exr_in_find_side(struct fmt_exr_rows *rows)
+{
+    const struct reader *reader = &rows->reader;
+    uint32_t width = 0, height = 0;
+    exr_tile_level_mode_t levels;
+    exr_tile_round_mode_t rounding;
+    if (!reader->tiled)
+        return 0;
+    const int status =
+        fmt_exr_status(&reader->stream, exr_get_tile_descriptor(reader->file, 0, &width, &height,
+                                                                &levels, &rounding));
+    rows->side = width == height && width <= MOST_TILE_SIDE ? width : 0;
+    return status;
+}
+
+int fmt_exr_tiles_open(struct bsq_ctx *ctx, const char *path, const struct bsq_file *input,
+                       const char *const *channels, uint32_t count, struct fmt_exr_rows **out)
+{
+    int status = open_rows(ctx, path, input, false, out);
+    if (status < 0)
+        return status;
+    struct reader *reader = &(*out)->reader;
+    BSQ_TRY(exr_in_read_attributes(reader));
+    BSQ_TRY(exr_in_name_channels(reader, channels, count));
+    BSQ_TRY(exr_in_find_side(*out));
+    const uint32_t across = (*out)->side > 0 ? (*out)->side : reader->chunk_width;
+    status = exr_in_allocate(reader, across, row_height(reader));
+done:
+    return status;
+}
+
+const struct fmt_exr_image *fmt_exr_rows_image(const struct fmt_exr_rows *rows)
+{
+    return &rows->image;
+}
+
+uint32_t fmt_exr_tile_side(const struct fmt_exr_rows *rows)
+{
+    return rows->side;
+}
+
+int fmt_exr_tile_read(struct fmt_exr_rows *rows, uint32_t column, uint32_t row,
+                      const float **samples)
+{
+    struct reader *reader = &rows->reader;
+    reader->first_row = row;
+    reader->first_column = column;
+    *samples = reader->samples;
+    return decode_chunk(reader, (uint64_t)row * reader->chunks_across + column, 0);
 }
 
 void fmt_exr_rows_close(struct fmt_exr_rows *rows)

@@ -13,6 +13,7 @@
 #include <string.h>
 
 #include "base/output.h"
+#include "base/sort_array.h"
 #include "formats/image/exr_internal.h"
 
 /* ---- packing ---- */
@@ -62,14 +63,22 @@ static size_t deflate_chunk(struct encoder *encoder, size_t size)
 
 enum { ZIP_ROWS = 16 /* of a block */ };
 
-enum { MOST_CHANNELS = 4 };
-/* In the order of samples. OpenEXR sorts them by name, so files have them in reverse order. */
-static const char *const color_names[MOST_CHANNELS] = {"R", "G", "B", "A"};
+enum { COLORS = 4 };
+/* In the order of samples. */
+static const char *const color_names[COLORS] = {"R", "G", "B", "A"};
+static const char *const grey_name = "Y";
+
+struct channel {
+    const char *name;
+    uint32_t sample; /* of a texel */
+};
 
 struct exr_writer {
     struct fmt_image_writer base;
     struct fmt_exr_stream stream;
     exr_context_t file;
+    struct channel *channels; /* in the order of the file, which OpenEXR sorts by name */
+    uint32_t y;               /* of the first row in the whole image */
     bool as_half;
 };
 
@@ -121,21 +130,40 @@ static exr_result_t set_attributes(exr_context_t file, const struct fmt_image_at
     return r;
 }
 
-static exr_result_t make_header(exr_context_t file, const struct fmt_image_options *options)
+/* Writes the attributes that all files have. */
+static exr_result_t set_windows(exr_context_t file, const struct fmt_image_options *options)
+{
+    const uint32_t width = options->full_width ? options->full_width : options->width;
+    const uint32_t height = options->full_height ? options->full_height : options->height;
+    exr_attr_box2i_t whole, own;
+    exr_attr_v2f_t center;
+    memset(&whole, 0, sizeof whole);
+    memset(&own, 0, sizeof own);
+    memset(&center, 0, sizeof center);
+    whole.max.x = (int32_t)width - 1;
+    whole.max.y = (int32_t)height - 1;
+    own.min.x = (int32_t)options->x;
+    own.min.y = (int32_t)options->y;
+    own.max.x = (int32_t)(options->x + options->width) - 1;
+    own.max.y = (int32_t)(options->y + options->height) - 1;
+    return exr_initialize_required_attr(file, 0, &whole, &own, 1.0f, &center, 1.0f,
+                                        EXR_LINEORDER_INCREASING_Y, EXR_COMPRESSION_ZIP);
+}
+
+static exr_result_t make_header(exr_context_t file, const struct channel *channels,
+                                const struct fmt_image_options *options)
 {
     int part;
     const uint32_t side = options->tile_side;
     exr_result_t r =
         exr_add_part(file, NULL, side > 0 ? EXR_STORAGE_TILED : EXR_STORAGE_SCANLINE, &part);
     if (r == EXR_ERR_SUCCESS)
-        r = exr_initialize_required_attr_simple(file, 0, (int32_t)options->width,
-                                                (int32_t)options->height, EXR_COMPRESSION_ZIP);
+        r = set_windows(file, options);
     if (r == EXR_ERR_SUCCESS && side > 0)
         r = exr_set_tile_descriptor(file, 0, side, side, EXR_TILE_ONE_LEVEL, EXR_TILE_ROUND_DOWN);
     exr_pixel_type_t type = options->type == FMT_HALF ? EXR_PIXEL_HALF : EXR_PIXEL_FLOAT;
     for (uint32_t c = 0; r == EXR_ERR_SUCCESS && c < options->channel_count; ++c)
-        r = exr_add_channel(file, 0, options->channel_count == 1 ? "Y" : color_names[c], type,
-                            EXR_PERCEPTUALLY_LOGARITHMIC, 1, 1);
+        r = exr_add_channel(file, 0, channels[c].name, type, EXR_PERCEPTUALLY_LOGARITHMIC, 1, 1);
     if (r == EXR_ERR_SUCCESS)
         r = set_color_attributes(file, !options->color);
     if (r == EXR_ERR_SUCCESS)
@@ -207,15 +235,17 @@ static uint8_t *store_line(const float *samples, uint32_t width, size_t stride, 
 static int exr_out_encode_block(struct fmt_image_writer *base, void *memory,
                                 const struct fmt_image_block *block)
 {
+    const struct exr_writer *writer = (struct exr_writer *)base;
     struct encoder *encoder = memory;
     const uint32_t channels = base->channel_count, side = base->tile_side;
     const uint32_t left = base->width - block->column * side;
     const uint32_t width = side > 0 && side < left ? side : left;
     uint8_t *to = encoder->chunk;
     for (uint32_t y = 0; y < block->rows; ++y)
-        for (uint32_t c = channels; c-- > 0;)
-            to = store_line(block->samples + (size_t)y * base->width * channels + c, width,
-                            channels, ((struct exr_writer *)base)->as_half, to);
+        for (uint32_t c = 0; c < channels; ++c)
+            to = store_line(block->samples + (size_t)y * base->width * channels +
+                                writer->channels[c].sample,
+                            width, channels, writer->as_half, to);
     const size_t size = (size_t)(to - encoder->chunk);
     const size_t deflated = deflate_chunk(encoder, size);
     encoder->packed = deflated > 0 ? encoder->deflated : encoder->chunk;
@@ -229,36 +259,63 @@ static int exr_out_emit_block(struct fmt_image_writer *base, void *memory,
     struct exr_writer *writer = (struct exr_writer *)base;
     const struct encoder *encoder = memory;
     const uint32_t side = base->tile_side;
-    exr_result_t r = side > 0 ? exr_write_tile_chunk(writer->file, 0, (int)block->column,
-                                                     (int)(block->first_row / side), 0, 0,
-                                                     encoder->packed, encoder->packed_bytes)
-                              : exr_write_scanline_chunk(writer->file, 0, (int)block->first_row,
-                                                         encoder->packed, encoder->packed_bytes);
+    exr_result_t r =
+        side > 0 ? exr_write_tile_chunk(writer->file, 0, (int)block->column,
+                                        (int)(block->first_row / side), 0, 0, encoder->packed,
+                                        encoder->packed_bytes)
+                 : exr_write_scanline_chunk(writer->file, 0, (int)(writer->y + block->first_row),
+                                            encoder->packed, encoder->packed_bytes);
     return fmt_exr_status(&writer->stream, r);
 }
 
 /* ---- from creating to ending ---- */
+
+static int exr_out_compare_names(const void *a, const void *b)
+{
+    return strcmp(((const struct channel *)a)->name, ((const struct channel *)b)->name);
+}
+
+static int exr_out_name_channels(struct exr_writer *writer, const struct fmt_image_options *options)
+{
+    const uint32_t count = options->channel_count;
+    const char *const *names = options->channels ? options->channels
+                               : count == 1      ? &grey_name
+                                                 : color_names;
+    int status = bsq_alloc(writer->base.ctx, "EXR channels", count, sizeof *writer->channels,
+                           &writer->channels);
+    for (uint32_t c = 0; status == 0 && c < count; ++c)
+        writer->channels[c] = (struct channel){names[c], c};
+    if (status == 0)
+        bsq_sort(writer->channels, count, sizeof *writer->channels, exr_out_compare_names);
+    return status;
+}
 
 static int exr_out_create_image(struct fmt_image_writer *base,
                                 const struct fmt_image_options *options)
 {
     struct exr_writer *writer = (struct exr_writer *)base;
     /* OpenEXR holds the bytes of a line and the number of rows in int32_t. */
-    if (options->height > INT32_MAX || options->channel_count > MOST_CHANNELS ||
+    if (options->height > INT32_MAX || (options->channel_count > COLORS && !options->channels) ||
         (uint64_t)options->width * options->channel_count > INT32_MAX / sizeof(float))
         return bsq_fail(base->ctx, BSQ_EUSAGE, "%s: %u x %u texels is too large for an EXR file",
                         base->path, options->width, options->height);
     writer->stream.ctx = base->ctx;
     writer->stream.path = base->path;
     writer->as_half = options->type == FMT_HALF;
+    writer->y = options->y;
+    const int status = exr_out_name_channels(writer, options);
+    if (status < 0)
+        return status;
     base->block_rows = options->tile_side > 0 ? options->tile_side : ZIP_ROWS;
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
     init.error_handler_fn = leave_to_caller;
     init.user_data = writer;
     init.write_fn = exr_out_write_bytes;
     exr_result_t r = exr_start_write(&writer->file, base->path, EXR_WRITE_FILE_DIRECTLY, &init);
+    if (r == EXR_ERR_SUCCESS && options->channels)
+        r = exr_set_longname_support(writer->file, 1);
     if (r == EXR_ERR_SUCCESS)
-        r = make_header(writer->file, options);
+        r = make_header(writer->file, writer->channels, options);
     return fmt_exr_status(&writer->stream, r);
 }
 
@@ -275,6 +332,7 @@ static void free_image(struct fmt_image_writer *base)
     struct exr_writer *writer = (struct exr_writer *)base;
     if (writer->file)
         exr_finish(&writer->file);
+    bsq_free(base->ctx, writer->channels);
 }
 
 const struct fmt_image_format fmt_exr_format = {

@@ -25,7 +25,13 @@ struct fmt_image_attribute { /* a text for the file's header */
 
 struct fmt_image_options {
     uint32_t width, height; /* texels */
-    uint32_t channel_count; /* 1 grey, 3 RGB, 4 RGBA */
+    uint32_t channel_count; /* 1 grey, 3 RGB, 4 RGBA, or any number of named ones */
+    /* For OpenEXR files: the names of the channels, which must be different; NULL: the usual ones.
+     */
+    const char *const *channels;
+    /* Likewise, where the image lies in a larger one of full_width x full_height texels; zeros: it
+     * is whole. */
+    uint32_t x, y, full_width, full_height;
     enum fmt_sample_type type;
     /* Samples are linear Rec. 709 light, which integer formats encode as sRGB. Otherwise the file
      * says that they are no colour, so that readers do not transform them. */

@@ -10,20 +10,16 @@
 #include "libbake/job/job.h"
 #include "libbake/options/options.h"
 
-static int job_run(struct bake_work *job)
+/* Traces all texels. */
+static int job_trace(struct bake_work *job, double started)
 {
-    double started = bsq_seconds_now(), area, texels;
-    const struct bake_options *options = job->options;
+    double area, texels;
     int status = 0;
-    BSQ_TRY(bake_open_inputs(job));
-    BSQ_TRY(bake_check_outputs(job, NULL));
-    BSQ_TRY(bake_set_params(job));
-    BSQ_TRY(bake_open_outputs(job));
-    BSQ_TRY(bake_prepare_triangles(job));
+    BSQ_TRY(bake_arrange_triangles(job));
+    BSQ_TRY(bake_rasterise(job));
     bake_expect_work(job);
     BSQ_TRY(bake_open_device(job, job->report->expected_seconds));
-    job->report->texel = bake_udim_areas(options, &job->mesh, &job->udim, &area, &texels);
-    job->report->voxel = job->surface.grids ? job->surface.detail : 0;
+    bake_udim_areas(job->options, &job->mesh, &job->udim, &area, &texels);
     BSQ_TRY(bake_seen_create(&job->surface, area, texels, job->device, &job->seen));
     double opened = bsq_seconds_now();
     job->report->seconds_open = opened - started;
@@ -35,6 +31,66 @@ static int job_run(struct bake_work *job)
     job->report->chunk_loads = bake_surface_loads(&job->surface);
     bake_end_tracing(job);
     job->report->seconds_trace = bsq_seconds_now() - opened;
+    status = bake_measure_maps(job);
+done:
+    return status;
+}
+
+static bool in_ranges(const struct bake_options *options, uint32_t tile)
+{
+    for (uint32_t i = 0; i < options->tile_range_count; i++)
+        if (tile >= options->tile_ranges[i].first && tile <= options->tile_ranges[i].last)
+            return true;
+    return options->tile_range_count == 0;
+}
+
+/* Leaves out the tiles that a merge is not asked for. */
+static int skip_tiles(struct bake_work *job, const struct bake_options *asked)
+{
+    uint32_t left = 0;
+    for (uint32_t i = 0; i < job->udim.count; i++) {
+        job->tiles[i].skipped = !in_ranges(asked, job->udim.tiles[i].number);
+        left += !job->tiles[i].skipped;
+    }
+    return left > 0 ? 0
+                    : bsq_fail(job->ctx, BSQ_EUSAGE, "no triangle lies in the tiles of --tiles");
+}
+
+/* Removes what was left out from the report. */
+static void report_written(struct bake_work *job)
+{
+    struct bake_report *report = job->report;
+    report->tile_count = 0;
+    for (uint32_t i = 0; i < job->udim.count; i++) {
+        struct bake_baked_tile *tile = &report->tiles[i];
+        if (!job->tiles[i].skipped) {
+            report->tiles[report->tile_count++] = *tile;
+        } else {
+            free(tile->object);
+            free(tile->material);
+        }
+    }
+}
+
+/* asked: the options of the caller, whose tiles a merge may write only. */
+static int job_run(struct bake_work *job, const struct bake_options *asked)
+{
+    const double started = bsq_seconds_now();
+    const struct bake_options *options = job->options;
+    double area, texels;
+    int status = 0;
+    if (asked->part && asked->tile_range_count > 0)
+        return bsq_fail(job->ctx, BSQ_EUSAGE, "a part has all tiles: give --tiles to --merge only");
+    BSQ_TRY(bake_open_inputs(job));
+    if (options->part)
+        return bake_run_part(job);
+    BSQ_TRY(skip_tiles(job, asked));
+    BSQ_TRY(bake_check_outputs(job));
+    BSQ_TRY(bake_set_params(job));
+    BSQ_TRY(bake_open_outputs(job));
+    BSQ_TRY(options->parts ? bake_take_parts(job) : job_trace(job, started));
+    job->report->texel = bake_udim_areas(options, &job->mesh, &job->udim, &area, &texels);
+    job->report->voxel = job->surface.grids ? job->surface.detail : 0;
     BSQ_TRY(bake_write_maps(job));
     BSQ_TRY(bake_write_asset(job));
     double written = bsq_seconds_now();
@@ -44,6 +100,7 @@ static int job_run(struct bake_work *job)
     job->report->seconds_preview = committing - written;
     BSQ_TRY(bake_commit_outputs(job));
     job->report->seconds_write += bsq_seconds_now() - committing;
+    report_written(job);
 done:
     return status;
 }
@@ -53,6 +110,7 @@ static void end_tile(struct bsq_ctx *ctx, struct bake_tile *tile)
     bake_raster_free(tile->raster);
     bake_image_free(tile->image);
     bsq_free(ctx, (void *)(uintptr_t)tile->blocks.slots);
+    bsq_free(ctx, tile->shares);
     bake_map_files_discard(tile->files);
     bake_thumbnail_free(ctx, &tile->normal);
     bake_thumbnail_free(ctx, &tile->color);
@@ -80,8 +138,8 @@ static void job_end(struct bake_work *job)
     bake_surface_close(&job->surface);
 }
 
-int bake_begin_job(struct bsq_ctx *ctx, const struct bake_options *options,
-                   struct bake_report *report, struct bake_work **out)
+static int job_begin(struct bsq_ctx *ctx, const struct bake_options *options,
+                     struct bake_report *report, struct bake_work **out)
 {
     struct bake_work *job = NULL; /* on the heap for its size */
     *out = NULL;
@@ -97,7 +155,8 @@ int bake_begin_job(struct bsq_ctx *ctx, const struct bake_options *options,
     return 0;
 }
 
-int bake_end_job(struct bake_work *job, int status)
+/* Ends a job. Returns the status, explained. */
+static int job_finish(struct bake_work *job, int status)
 {
     struct bsq_ctx *ctx = job->ctx;
     if (status < 0)
@@ -112,8 +171,15 @@ int bake_end_job(struct bake_work *job, int status)
 int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bake_report *report)
 {
     struct bake_work *job;
-    int status = bake_begin_job(ctx, options, report, &job);
-    return status < 0 ? status : bake_end_job(job, job_run(job));
+    struct bake_options all = *options;
+    /* Ranges of maps are those of all tiles, and so are the pictures. */
+    if (options->parts && options->tile_range_count > 0) {
+        all.tile_range_count = 0;
+        all.glb_path = NULL;
+        all.preview_path = NULL;
+    }
+    int status = job_begin(ctx, &all, report, &job);
+    return status < 0 ? status : job_finish(job, job_run(job, options));
 }
 
 void bake_report_free(struct bake_report *report)

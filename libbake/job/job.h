@@ -1,7 +1,8 @@
 /* job.h - the steps of a bake, in their order. Takes options; gives map files and a report.
  *
- * bake_run() takes all of the steps; libbake/farm takes them apart to divide a bake into
- * tasks. Steps end at the first failure. */
+ * bake_run() takes all of the steps. In a bake in parts, each part traces its own share of the
+ * texels, and a last job takes all texels from the parts' files instead of tracing. A texel does
+ * not depend on its part. Steps end at the first failure. */
 #ifndef BAKE_JOB_JOB_H
 #define BAKE_JOB_JOB_H
 
@@ -12,6 +13,22 @@
 #include "libbake/preview/preview.h"
 #include "libbake/skew/skew.h"
 
+/* What the header of a part's file says, see FORMATS.md. All but the counts must be those of the
+ * bake. */
+enum bake_part_text {
+    BAKE_PART_VERSION,
+    BAKE_PART_NUMBER,
+    BAKE_PART_TILE,
+    BAKE_PART_INPUTS,
+    BAKE_PART_OPTIONS,
+    BAKE_PART_COUNTS,
+    BAKE_PART_TEXTS,
+    BAKE_PART_TEXT = 160 /* bytes of a text */
+};
+struct bake_part_texts {
+    char of[BAKE_PART_TEXTS][BAKE_PART_TEXT];
+};
+
 /* The maps of one UDIM tile. */
 struct bake_tile {
     struct bake_udim_tile udim;
@@ -21,9 +38,10 @@ struct bake_tile {
     char *output_path;
     char *beside;        /* the path of one map; temporary files go to its directory */
     uint32_t patch_side; /* of the raster, in texels */
-    bool kept;           /* its maps are there already: they are not written */
+    bool skipped;        /* its maps are not written */
     bool in_blocks;      /* bakes `blocks` only, into an image of them */
     struct bake_blocks blocks;
+    uint32_t *shares; /* for each block: the part that bakes it, from 0 on; NULL: there are none */
     struct bake_skew_image skew;
     struct bake_raster *raster;
     struct bake_image *image;
@@ -52,16 +70,12 @@ struct bake_work {
     struct bake_curvature_counts curvature; /* over those that were traced */
     struct bake_device *device;             /* NULL: triangles or several scans are traced */
     struct bake_preview_tile *preview_tiles;
-    struct bsq_output *preview; /* complete; NULL: there is none yet */
-    double preview_from;        /* where its first view is, in degrees around */
-    struct bake_asset *asset;   /* NULL: there is none */
-    bool keeps_preview;         /* it is there already, or another process renders it */
+    struct bsq_output *preview;      /* complete; NULL: there is none yet */
+    double preview_from;             /* where its first view is, in degrees around */
+    struct bake_asset *asset;        /* NULL: there is none */
+    struct bake_part_texts identity; /* of a bake in parts: those that all files share */
+    uint64_t texels, part_texels;    /* that triangles cover; of the job's part */
 };
-
-/* Begins and ends a job. The report must be empty; a job that failed frees it. */
-int bake_begin_job(struct bsq_ctx *ctx, const struct bake_options *options,
-                   struct bake_report *report, struct bake_work **out);
-int bake_end_job(struct bake_work *job, int status); /* returns the status, explained */
 
 /* ---- inputs ---- */
 
@@ -73,16 +87,17 @@ int bake_set_params(struct bake_work *job);
 
 /* ---- costs ---- */
 
-/* Sets what baking `texels` of `all` texels with a surface needs. part_bytes must be set. */
-void bake_expect_cost(const struct bake_work *job, uint64_t texels, uint64_t all,
-                      struct bake_task_cost *cost);
+/* Returns the seconds of one core that baking `texels` of `all` texels with a surface takes. */
+double bake_expect_seconds(const struct bake_work *job, uint64_t texels, uint64_t all);
 /* Sets the rays and the seconds that the report expects. The triangles must be prepared. */
 void bake_expect_work(const struct bake_work *job);
 
 /* ---- tracing ---- */
 
-/* Sorts the triangles of the low-poly mesh by tile and rasterises them. */
-int bake_prepare_triangles(struct bake_work *job);
+/* Sorts the triangles of the low-poly mesh by tile; then rasterises those of tiles that have blocks
+ * to bake, or are baked as a whole. */
+int bake_arrange_triangles(struct bake_work *job);
+int bake_rasterise(struct bake_work *job);
 /* Opens the device that traces, if there is a single grid. seconds: what one core is expected to
  * take, by which a device is chosen if the user names none. */
 int bake_open_device(struct bake_work *job, double seconds);
@@ -101,24 +116,35 @@ int bake_warn_of_radius(struct bsq_ctx *ctx, const struct bake_curvature_counts 
 /* Frees what is needed for tracing only; may be called twice. */
 void bake_end_tracing(struct bake_work *job);
 
+/* ---- parts ---- */
+
+/* Divides the texels of all tiles among options->parts, and counts triangles without area. Arranges
+ * the triangles. Depends on inputs and options only. */
+int bake_divide(struct bake_work *job);
+/* Makes a tile bake the blocks of the job's part. Errors: BSQ_ENOMEM; BSQ_EUSAGE if these are too
+ * many. */
+int bake_take_share(struct bake_work *job, struct bake_tile *tile);
+/* Bakes options->part, after the inputs are opened, and writes its files, unless they are there
+ * already: then report->kept is set. */
+int bake_run_part(struct bake_work *job);
+/* Takes the texels, statistics and counts of all tiles from the files of all parts, after the
+ * parameters are set. Images of skipped tiles are freed. Errors: BSQ_ENOINPUT, which names missing
+ * parts; BSQ_EDATA for damaged and foreign ones. */
+int bake_take_parts(struct bake_work *job);
+
 /* ---- outputs ---- */
 
-/* Checks before the work that all files of tiles that are not kept, the preview and the plan (NULL:
- * none is written) can be created, are no inputs and have different names. Errors: BSQ_EUSAGE,
- * BSQ_ECANTCREAT, BSQ_ENOMEM. */
-int bake_check_outputs(struct bake_work *job, const char *plan);
+/* Checks before the work that the preview and all files of tiles that are not skipped can be
+ * created, are no inputs and have different names. Errors: BSQ_EUSAGE, BSQ_ECANTCREAT, BSQ_ENOMEM.
+ */
+int bake_check_outputs(struct bake_work *job);
 /* Prepares for the files, which are created when they are written. */
 int bake_open_outputs(struct bake_work *job);
-/* Returns the side of thumbnails for the preview, so that those of one map in all tiles take at
- * most an eighth of what is left in the budget. */
-uint32_t bake_preview_texture_side(const struct bake_work *job);
-/* Encodes and writes the maps of a tile, and frees its image. The measures of all tiles must be
- * known. limited: see bake_map_files_write(). */
-int bake_write_tile(struct bake_work *job, struct bake_tile *tile, uint32_t side,
-                    uint64_t *limited);
 /* Creates the image of a tile, which takes at most `memory_bytes`, or is in a temporary file.
  * Errors: those of bake_image_create(). */
 int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t memory_bytes);
+/* Measures the values of all tiles, since they share the ranges of the maps. */
+int bake_measure_maps(struct bake_work *job);
 /* Encodes and writes all maps under temporary names. */
 int bake_write_maps(struct bake_work *job);
 /* Writes the GLB file, if one is asked for. */

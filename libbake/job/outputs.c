@@ -79,7 +79,7 @@ static unsigned file_count(const struct bake_tile *tile)
     return count;
 }
 
-enum { OTHERS = 4 }; /* outputs beside the maps */
+enum { OTHERS = 3 }; /* outputs beside the maps */
 
 /* Checks that an output can be created and is none of the others, which may be NULL. */
 static int check_output(struct bsq_ctx *ctx, const char *path, const char *const others[OTHERS])
@@ -111,14 +111,12 @@ static bool ends_with(const char *path, const char *suffix)
     return length >= end && strcasecmp(path + length - end, suffix) == 0;
 }
 
-int bake_check_outputs(struct bake_work *job, const char *plan)
+int bake_check_outputs(struct bake_work *job)
 {
     const char *preview = job->options->preview_path, *glb = job->options->glb_path;
     const char *page = job->options->page_path;
-    const char *const others[OTHERS] = {preview, glb, plan, page};
+    const char *const others[OTHERS] = {preview, glb, page};
     int status = 0;
-    if (plan)
-        BSQ_TRY(check_output(job->ctx, plan, (const char *const[OTHERS]){preview, glb, page}));
     if (glb)
         BSQ_TRY(check_output(job->ctx, glb, (const char *const[OTHERS]){preview, page}));
     if (preview)
@@ -129,7 +127,7 @@ int bake_check_outputs(struct bake_work *job, const char *plan)
     if (glb && !ends_with(glb, ".glb"))
         return bsq_fail(job->ctx, BSQ_EUSAGE, "%s: its name must end in .glb", glb);
     for (uint32_t i = 0; i < job->udim.count; ++i)
-        if (!job->tiles[i].kept)
+        if (!job->tiles[i].skipped)
             BSQ_TRY(check_tile_outputs(job->ctx, &job->tiles[i], others));
 done:
     return status;
@@ -142,7 +140,7 @@ static int require_descriptors(const struct bake_work *job)
     if (job->options->glb_path)
         count += 1 + BAKE_ASSET_IMAGES * (uint64_t)job->udim.count;
     for (uint32_t i = 0; i < job->udim.count; ++i)
-        count += job->tiles[i].kept ? 0 : file_count(&job->tiles[i]);
+        count += job->tiles[i].skipped ? 0 : file_count(&job->tiles[i]);
     return bsq_require_descriptors(job->ctx, job->options->output_path, count);
 }
 
@@ -158,9 +156,10 @@ done:
     return status;
 }
 
-/* With thousands of tiles, a thumbnail may be a single texel. So the picture, unlike the maps, can
- * depend on a small budget. */
-uint32_t bake_preview_texture_side(const struct bake_work *job)
+/* Returns the side of thumbnails for the preview, so that those of one map in all tiles take at
+ * most an eighth of what is left in the budget. With thousands of tiles, it may be a single texel.
+ * So the picture, unlike the maps, can depend on a small budget. */
+static uint32_t preview_texture_side(const struct bake_work *job)
 {
     const uint64_t share = bsq_memory_share(job->ctx, "textures of the preview", 8);
     return bake_thumbnail_side(PREVIEW_TEXTURE, share / job->udim.count);
@@ -224,7 +223,10 @@ static int filter_tile(struct bake_work *job, const struct bake_tile *tile)
     return status;
 }
 
-int bake_write_tile(struct bake_work *job, struct bake_tile *tile, uint32_t side, uint64_t *limited)
+/* Encodes and writes the maps of a tile, and frees its image. limited: see bake_map_files_write().
+ */
+static int write_tile(struct bake_work *job, struct bake_tile *tile, uint32_t side,
+                      uint64_t *limited)
 {
     const struct bake_traced traced = traced_of(job);
     int status = 0;
@@ -247,8 +249,7 @@ done:
     return status;
 }
 
-/* Measures the values of all tiles, since they share the ranges of the maps. */
-static int measure_maps(struct bake_work *job)
+int bake_measure_maps(struct bake_work *job)
 {
     const double start = bsq_seconds_now();
     int status = 0;
@@ -262,14 +263,14 @@ done:
 
 int bake_write_maps(struct bake_work *job)
 {
-    const uint32_t side = bake_preview_texture_side(job);
+    const uint32_t side = preview_texture_side(job);
     uint64_t *limited = NULL;
     int status = 0;
     BSQ_TRY(bsq_calloc(job->ctx, "maps", bake_files_end(job->options, job->maps), sizeof *limited,
                        &limited));
-    BSQ_TRY(measure_maps(job));
     for (uint32_t i = 0; i < job->udim.count; ++i)
-        BSQ_TRY(bake_write_tile(job, &job->tiles[i], side, limited));
+        if (!job->tiles[i].skipped)
+            BSQ_TRY(write_tile(job, &job->tiles[i], side, limited));
     BSQ_TRY(bake_warn_limited(job->ctx, job->options, job->maps, limited));
 done:
     bsq_free(job->ctx, limited);
@@ -315,7 +316,7 @@ done:
 
 int bake_write_preview(struct bake_work *job)
 {
-    if (!wants_preview(job) || job->keeps_preview)
+    if (!wants_preview(job))
         return 0;
     const char *path =
         job->options->preview_path ? job->options->preview_path : job->options->page->path;

@@ -33,24 +33,30 @@ static int rasterise(const struct bake_work *job, struct bake_tile *tile)
     int status = bake_raster_create(job->ctx, &job->mesh, &raster, &counts, &tile->raster);
     if (status < 0)
         return status;
-    job->report->degenerate_uv_triangles += counts.degenerate_triangles;
+    if (!tile->in_blocks)
+        job->report->degenerate_uv_triangles += counts.degenerate_triangles;
     bake_raster_kernel_triangles(tile->raster, job->surface.translation, job->surface.unit,
                                  job->triangles);
     return 0;
 }
 
-int bake_prepare_triangles(struct bake_work *job)
+int bake_arrange_triangles(struct bake_work *job)
 {
-    int status = 0;
-    BSQ_TRY(bake_udim_arrange(job->ctx, job->options, &job->udim, &job->mesh));
+    int status = bake_udim_arrange(job->ctx, job->options, &job->udim, &job->mesh);
+    if (status < 0)
+        return status;
     const struct bake_udim_tile *last = &job->udim.tiles[job->udim.count - 1];
     job->triangle_count = (uint32_t)(last->first + last->count);
-    BSQ_TRY(bsq_calloc(job->ctx, "triangles of the low-poly mesh", job->triangle_count,
-                       sizeof *job->triangles, &job->triangles));
-    for (uint32_t i = 0; i < job->udim.count; ++i)
+    return bsq_calloc(job->ctx, "triangles of the low-poly mesh", job->triangle_count,
+                      sizeof *job->triangles, &job->triangles);
+}
+
+int bake_rasterise(struct bake_work *job)
+{
+    int status = 0;
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
         if (!job->tiles[i].in_blocks || job->tiles[i].blocks.count > 0)
-            BSQ_TRY(rasterise(job, &job->tiles[i]));
-done:
+            status = rasterise(job, &job->tiles[i]);
     return status;
 }
 

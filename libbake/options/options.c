@@ -65,6 +65,7 @@ static const char *lacks(uint32_t need, const struct bake_options *options,
 #define SHIFT(member)                      MEMBER(NUMBER, member), BSQ_RANGE(-MOST_LENGTH, MOST_LENGTH, 0)
 #define CHOICE(member, words_)             MEMBER(CHOICE, member), .words = words_
 #define EITHER(member, words_)             MEMBER(FLAG, member), .words = words_
+#define FINISHES                           .finishes = true
 
 /* Small multiples of a length must be floats too. */
 #define MOST_LENGTH ((double)FLT_MAX / 4)
@@ -83,7 +84,7 @@ static const struct bsq_option transfer_rows[] = {
     {BSQ_MEMBER(TEXT, struct bake_transfer, name)},
     {BSQ_MEMBER(INPUT, struct bake_transfer, texture_path)},
     {BSQ_MEMBER(FLAG, struct bake_transfer, in_mask)},
-    {BSQ_MEMBER(FLAG, struct bake_transfer, no_file)},
+    {BSQ_MEMBER(FLAG, struct bake_transfer, no_file), FINISHES},
 };
 
 static const struct bsq_option pack_rows[] = {{BSQ_MEMBER(TEXT, struct bake_pack, name)},
@@ -106,41 +107,42 @@ static const struct bsq_option table[] = {
     {BSQ_ROW("pack", "NAME=MAP,...",
              "one file of up to four maps, in this order; such as\n"
              "orm=ao,roughness,metallic; 1-MAP: inverted; 0, 1: constant"),
-     .own_syntax = true, BSQ_LIST(struct bake_options, packs, pack_count, pack_rows)},
+     .own_syntax = true, BSQ_LIST(struct bake_options, packs, pack_count, pack_rows), FINISHES},
     {BSQ_ROW("preset", "NAME",
              "green, type, suffix and packed maps: unreal, unity, blender or gltf"),
-     CHOICE(preset, "none unreal unity blender gltf")},
+     CHOICE(preset, "none unreal unity blender gltf"), FINISHES},
     {BSQ_ROW("quality", "Q", "draft, normal or final: samples and rays that are not given"),
-     CHOICE(quality, "normal draft final")},
+     CHOICE(quality, "normal draft final"), FINISHES},
     {BSQ_ROW("size", "N | WxH", "texels, or 4k (default: 2048); by UDIM tile: 1001=4096,*=2048"),
      .own_syntax = true, COUNT(width, 0, UINT32_MAX, 2048)},
     {COUNT(height, 0, UINT32_MAX, 2048)},
     {BSQ_LIST(struct bake_options, tile_sizes, tile_size_count, size_rows)},
     {BSQ_ROW("tiles", "LIST", "UDIM tiles to bake, such as 1001-1003,1011 (default: all in use)"),
-     .own_syntax = true, BSQ_LIST(struct bake_options, tile_ranges, tile_range_count, range_rows)},
+     .own_syntax = true, BSQ_LIST(struct bake_options, tile_ranges, tile_range_count, range_rows),
+     FINISHES},
     {BSQ_ROW("type", "TYPE",
              "of samples: half or float in OpenEXR, 16 or 8 in PNG\n"
              "(default: auto, by the map)"),
-     CHOICE(sample_type, "auto 8 16 half float")},
+     CHOICE(sample_type, "auto 8 16 half float"), FINISHES},
     {BSQ_ROW("exr-tiles", "N", "make OpenEXR files of tiles of N x N texels (default: of lines)"),
-     COUNT(exr_tile_side, 8, BAKE_MAX_EXR_TILE, 0)},
+     COUNT(exr_tile_side, 8, BAKE_MAX_EXR_TILE, 0), FINISHES},
     {BSQ_ROW("padding", "N", "texels to fill around each chart; all: everywhere"), .words = "all",
-     COUNT(padding, 0, UINT32_MAX - 1, 16), .needs = PADDED_MAP},
+     COUNT(padding, 0, UINT32_MAX - 1, 16), FINISHES, .needs = PADDED_MAP},
     {KEY("normal", "space", "SPC", "tangent (MikkTSpace) or object"),
      CHOICE(normal_space, "tangent object"), .needs = NORMALS},
     {KEY("normal", "green", "DIR", "up (OpenGL) or down (Direct3D), for tangent space"),
      EITHER(green_down, "up down"), .needs = NORMALS | TANGENT_SPACE},
     {KEY("range", "height", "D", "height of white in PNG files (default: the largest of the mesh)"),
-     .words = "auto", NUMBER(height_range, MOST_LENGTH, -1), .positive = true,
+     .words = "auto", NUMBER(height_range, MOST_LENGTH, -1), FINISHES, .positive = true,
      .needs = BAKE_MAP_HEIGHT},
     {KEY("range", "curvature", "C", "curvature of white (default: by the whole mesh)"),
-     .words = "auto", NUMBER(curvature_range, MOST_LENGTH, -1), .positive = true,
+     .words = "auto", NUMBER(curvature_range, MOST_LENGTH, -1), FINISHES, .positive = true,
      .needs = BAKE_MAP_CURVATURE},
     {KEY("range", "thickness", "D", "thickness of white (default: by the whole mesh)"),
-     .words = "auto", NUMBER(thickness_range, MOST_LENGTH, -1), .positive = true,
+     .words = "auto", NUMBER(thickness_range, MOST_LENGTH, -1), FINISHES, .positive = true,
      .needs = BAKE_MAP_THICKNESS},
     {KEY("range", "position", "SHAPE", "sphere or box around the scan"),
-     CHOICE(position_in, "sphere box"), .needs = BAKE_MAP_POSITION},
+     CHOICE(position_in, "sphere box"), FINISHES, .needs = BAKE_MAP_POSITION},
 
     {BSQ_ROW("samples", "N", "N x N pairs of rays a texel"), .heading = "Rays",
      COUNT(samples, 1, BAKE_MAX_SAMPLES, 2)},
@@ -165,8 +167,8 @@ static const struct bsq_option table[] = {
     {MEMBER(TEXT, low_suffix), .text = "_low"},
     {MEMBER(TEXT, high_suffix), .text = "_high"},
     {BSQ_ROW("max-missed", "P", "exit with 1 if more than P % of the samples find no surface"),
-     .with_plan = true, NUMBER(max_missed, 100, 100)},
-    {MEMBER(FLAG, strict)},
+     NUMBER(max_missed, 100, 100), FINISHES},
+    {MEMBER(FLAG, strict), FINISHES},
     {KEY("rays", "ao", "N", "rays a texel for ao and bent, shared by its samples"),
      COUNT(ao_rays, 1, BAKE_MAX_RAYS, 64), .needs = OPEN_RAYS},
     {KEY("rays", "thickness", "N", "likewise, for thickness"),
@@ -200,7 +202,8 @@ static const struct bsq_option table[] = {
          "if its file has none: angle or smooth (weighted by angle or area),\n"
          "or flat (default: angle; flat for glTF)"),
      CHOICE(low_normals, "auto angle smooth flat")},
-    {BSQ_ROW("as-is", NULL, "bake meshes that do not fit each other"), MEMBER(FLAG, as_is)},
+    {BSQ_ROW("as-is", NULL, "bake meshes that do not fit each other"), MEMBER(FLAG, as_is),
+     FINISHES},
 
     {KEY("scan", "sampling", "MODE", "trilinear or nearest, for grids"), .heading = "Scans",
      CHOICE(sampling, "trilinear nearest"), .needs = GRID_TO_SAMPLE},
@@ -227,20 +230,30 @@ static const struct bsq_option table[] = {
              "names are from them"),
      MEMBER(INPUT, reference_path)},
     {KEY("view", "count", "N", "views around the mesh"), COUNT(preview_views, 1, BAKE_MAX_VIEWS, 4),
-     .needs = PREVIEW},
+     FINISHES, .needs = PREVIEW},
     {KEY("view", "from", "DEG", "of the first view, around from the front; auto: the most telling"),
-     .words = "auto", NUMBER(preview_from, 360, -1), .needs = PREVIEW},
+     .words = "auto", NUMBER(preview_from, 360, -1), FINISHES, .needs = PREVIEW},
     {KEY("view", "above", "DEG", "how far views look down, to 90 degrees"),
-     NUMBER(preview_above, 90, 17), .needs = PREVIEW},
+     NUMBER(preview_above, 90, 17), FINISHES, .needs = PREVIEW},
     {KEY("view", "up", "AXIS", "the vertical axis: y, z or auto"), CHOICE(preview_up, "auto y z"),
-     .needs = PREVIEW},
+     FINISHES, .needs = PREVIEW},
+
+    {BSQ_ROW("part", "I/N",
+             "bake the I-th of N shares of the texels into files beside the maps,\n"
+             "unless they are there already"),
+     .heading = "Parts for several machines", .own_syntax = true, COUNT(part, 0, BAKE_MAX_PARTS, 0),
+     FINISHES},
+    {BSQ_ROW("merge", "N",
+             "write the maps from all N parts of the same bake;\n"
+             "with --tiles: only those of these UDIM tiles (default: no parts)"),
+     COUNT(parts, 1, BAKE_MAX_PARTS, 0)},
 
     {BSQ_ROW("device", "NAME",
              BAKE_DEVICE_NAMES "\n"
                                "(default: cpu for bakes of half a second, else auto)"),
-     .heading = "Devices", .own_syntax = true, .with_plan = true, MEMBER(TEXT, device), .text = ""},
+     .heading = "Devices", .own_syntax = true, MEMBER(TEXT, device), FINISHES, .text = ""},
     {BSQ_ROW("gpu-memory", "SIZE", "most memory of a GPU to use, e.g. 2G (default: what is free)"),
-     MEMBER(BYTES, gpu_memory_bytes), .needs = GPU | GRID},
+     MEMBER(BYTES, gpu_memory_bytes), FINISHES, .needs = GPU | GRID},
 };
 enum { ROWS = sizeof table / sizeof *table };
 _Static_assert((int)ROWS <= (int)BAKE_MOST_OPTION_ROWS, "bisque-bake has a flag for each row");

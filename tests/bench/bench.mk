@@ -41,7 +41,7 @@ bench-blender: all $(generator) $(BUILD)/tests/measure
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/blender_job.sh $(BENCH)
 
 .PHONY: bench-farm
-## bench-farm: processor time of bakes in 1 to 64 tasks beside that of a single run
+## bench-farm: processor time of bakes in 1 to 64 parts beside that of a single run
 bench-farm: all $(generator)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/farm.sh
 

@@ -1,8 +1,8 @@
 #!/bin/sh
-# farm.sh - what dividing work costs. Processor time, user and system, one thread each: of the plan,
-# all tasks and the merge of a bake beside that of a single run; of many small assets. Bytes that
-# tasks read. Checks that the maps are the same, and predicts large scans from what it measured.
-# SIDE: of the maps; TRIANGLES: of the scan; COUNTS: numbers of tasks, 16 among them for the
+# farm.sh - what dividing work costs. Processor time, user and system, one thread each: of all parts
+# and the merge of a bake beside that of a single run; of many small assets. Bytes that
+# parts read. Checks that the maps are the same, and predicts large scans from what it measured.
+# SIDE: of the maps; TRIANGLES: of the scan; COUNTS: numbers of parts, 16 among them for the
 # prediction; ASSETS: how many small ones.
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
@@ -52,37 +52,36 @@ note small_grid_bytes "$(stat -c %s small.nvdb)"
 
 # ---- bakes ----
 
-# divide TASKS: bakes in tasks, and prints a row of the table. $scan, $options and $single are set.
+# divide PARTS: bakes in parts, and prints a row of the table. $scan, $options and $single are set.
 divide()
 {
-    rm -f plan.* part_*
-    cost "$BIN/bisque-bake" $scan low.obj -o 'part_<MAP>.exr' $options --tasks "$1" --plan plan.json
-    plan=$seconds all=0 longest=0 most=0 bytes=0 task=0
+    rm -f part_*
+    all=0 longest=0 most=0 bytes=0 task=0
     while [ $task -lt "$1" ]; do
-        cost "$BIN/bisque-bake" --plan plan.json --task $task
+        cost "$BIN/bisque-bake" $scan low.obj -o 'part_<MAP>.exr' $options --part $((task + 1))/"$1"
         all=$(calculate "$all + $seconds") longest=$(calculate "[$longest, $seconds] | max")
         bytes=$((bytes + read)) most=$((read > most ? read : most))
         task=$((task + 1))
     done
-    cost "$BIN/bisque-bake" --plan plan.json --merge
+    cost "$BIN/bisque-bake" $scan low.obj -o 'part_<MAP>.exr' $options --merge "$1"
     for map in normal color height; do
         cmp one_$map.exr part_$map.exr
     done
-    parts=$(cat plan.*.part | wc -c)
-    jq -nr --arg scan "${scan#scan.}" "[\$scan, $1, $plan, $all, $seconds, $single,
-        ($plan + $all + $seconds) / $single, $parts / 1048576, $longest, $bytes / $1 / 1048576, $most / 1048576] |
+    parts=$(cat part_part-* | wc -c)
+    jq -nr --arg scan "${scan#scan.}" "[\$scan, $1, $all, $seconds, $single,
+        ($all + $seconds) / $single, $parts / 1048576, $longest, $bytes / $1 / 1048576, $most / 1048576] |
         \"| \" + (map(if type == \"number\" then . * 1000 | round / 1000 else . end | tostring) | join(\" | \")) + \" |\""
     [ "$1" -ne 16 ] || {
-        for figure in plan:$plan tasks:$all merge:$seconds parts:$parts read:$bytes merge_read:$read; do
+        for figure in tasks:$all merge:$seconds parts:$parts read:$bytes merge_read:$read; do
             note "${scan#scan.}_${figure%%:*}" "${figure#*:}"
         done
-        ratio=$(calculate "($plan + $all + $seconds) / $single")
+        ratio=$(calculate "($all + $seconds) / $single")
     }
 }
 
 echo "maps of $side x $side, 2 x 2 samples, normal, color, height; scan of $triangles triangles"
-echo "| bake | tasks | plan s | tasks s | merge s | single run s | ratio | parts MiB | longest task s | a task reads MiB | at most MiB |"
-echo "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"
+echo "| bake | parts | parts s | merge s | single run s | ratio | files MiB | longest part s | a part reads MiB | at most MiB |"
+echo "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|"
 limits=
 for scan in scan.nvdb scan.tris; do
     options="--size $((side / 4)) --maps normal,color,height --device cpu" ratio=0

@@ -1,34 +1,34 @@
-# farm_lib.sh - task 2 of farm/plan.json is killed, and runs twice at once. Needs tests/cli/lib.sh.
+# farm_lib.sh - a part of a bake is killed, and baked twice at once. Needs tests/cli/lib.sh, and $whole,
+# the options of a bake of one tile into farm/.
 #
-#   begin_faults PROGRAM   sets the program, and keeps a whole part of the task for comparison;
-#                          sets $part, the name of the part, and $faulted, the program
-#   killed_at CALL...      checks tasks that end at their first call of each kind
-#   twice NAME COMMAND     checks a task that stops before it names its part while COMMAND runs
+#   begin_faults           keeps a whole part for comparison; sets $part, its name
+#   killed_at CALL...      checks bakes that end at their first call of each kind
+#   twice NAME COMMAND     checks a bake that stops before it names its file while COMMAND runs
 #   no_temporary_files     checks that none is left in farm/
 #   plainly COMMAND...     runs a command as on NFS that has neither files without a name nor flock
 
 begin_faults()
 {
-    faulted=$BIN/$1 part=farm/plan.0002.part under=$(cd farm && pwd -P)
-    rm -f farm/*.part
-    task
+    part=farm/o_part-2-of-3.exr under=$(cd farm && pwd -P)
+    rm -f farm/*
+    bake_part
     mv $part whole
 }
 
-# task: runs the task, without faults.
-task()
+# bake_part: bakes part 2, without faults.
+bake_part()
 {
-    command="$faulted --task 2" code=0
-    "$faulted" --plan farm/plan.json --task 2 >"$out" 2>"$err" || code=$?
-    code 0
+    # shellcheck disable=SC2086 # several words
+    ok run bisque-bake $whole --part 2/3
 }
 
-# faulty_task CALL ACTION PLAIN: runs the task; ACTION happens at its first call of this kind on the part.
+# faulty_part CALL ACTION PLAIN: bakes the part; ACTION happens at its first call of this kind on the file.
 # PLAIN is 1 for a file system that has no files without a name.
-faulty_task()
+faulty_part()
 {
-    LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$under FAULT_PATH=plan.0002 FAULT_CALLS=$1 FAULT_AT=1 FAULT_DO=$2 FAULT_PLAIN=$3 \
-        FAULT_FLAG=flag "$faulted" --plan farm/plan.json --task 2 >"$out" 2>"$err"
+    # shellcheck disable=SC2086
+    LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$under FAULT_PATH=part-2 FAULT_CALLS=$1 FAULT_AT=1 FAULT_DO=$2 FAULT_PLAIN=$3 \
+        FAULT_FLAG=flag "$BIN/bisque-bake" $whole --part 2/3 >"$out" 2>"$err"
 }
 
 killed_at()
@@ -37,11 +37,11 @@ killed_at()
         for call; do
             rm -f $part
             code=0
-            faulty_task "$call" KILL $plain || code=$?
-            command="${faulted##*/} --task 2 killed at $call, FAULT_PLAIN=$plain"
+            faulty_part "$call" KILL $plain || code=$?
+            command="part 2 killed at $call, FAULT_PLAIN=$plain"
             [ "$code" -ne 0 ] && { [ ! -e $part ] || cmp -s $part whole; }
-            check "$command: no part, or all of it" $?
-            task
+            check "$command: no file, or all of it" $?
+            bake_part
             same $part whole
         done
     done
@@ -51,9 +51,9 @@ twice()
 {
     rm -f $part flag
     command=$1 code=0
-    faulty_task name pause 1 &
+    faulty_part name pause 1 &
     wait_for flag
-    holds "$1: the task stops" [ -e flag ]
+    holds "$1: the bake stops" [ -e flag ]
     eval "$2"
     rm -f flag
     wait $! || code=$?

@@ -273,6 +273,18 @@ oracle()
     "$python" -B "$top/tests/oracle/$oracle.py" "$@" >"$out" 2>"$err" || code=$?
 }
 
+# in_parts N COMMAND...: runs a bake as N parts, and their merge.
+in_parts()
+{
+    parts=$1 part=0
+    shift
+    while [ $part -lt $parts ]; do
+        part=$((part + 1))
+        ok "$@" --part $part/$parts
+    done
+    ok "$@" --merge $parts
+}
+
 # A box [0, 1] x [0, 2] x [0, 3] of quads with texture coordinates, one UV chart for each face.
 write_box()
 {

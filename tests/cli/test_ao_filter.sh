@@ -94,11 +94,9 @@ ok $bake vase.nvdb vase_low.obj $maps -o 'one_<MAP>.exr' --threads 1
 ok $bake vase.nvdb vase_low.obj $maps -o 'few_<MAP>.exr' --threads 3 --memory 22M
 holds "a small budget gives the same ao" cmp one_ao.exr few_ao.exr
 holds "a small budget gives the same curvature" cmp one_curvature.exr few_curvature.exr
-ok $bake vase.nvdb vase_low.obj $maps -o 'task_<MAP>.exr' --tasks 3 --plan plan.json
-ok $bake --plan plan.json --task 0-2
-ok $bake --plan plan.json --merge
+in_parts 3 $bake vase.nvdb vase_low.obj $maps -o 'task_<MAP>.exr'
 for map in normal ao curvature; do
-    holds "tasks give the same $map" cmp one_$map.exr task_$map.exr
+    holds "parts give the same $map" cmp one_$map.exr task_$map.exr
 done
 ok $bake vase.nvdb vase_low.obj --maps normal,curvature --size 384 --samples 1 --type float \
     -o 'plain_<MAP>.exr'

@@ -1,10 +1,11 @@
 #!/bin/sh
-# test_farm.sh - a bake as tasks: plans, parts and merges have the bytes of a single run; what is
-# missing, damaged or foreign is refused by name; tasks may be killed, repeated and run twice.
+# test_farm.sh - a bake in parts: parts and merges have the bytes of a single run; what is missing,
+# damaged or foreign is refused by name; parts may be killed, repeated and baked twice at once.
 . "$(dirname "$0")/lib.sh"
 . "$top/tests/cli/farm_lib.sh"
 
 bake="run bisque-bake"
+p="bisque-bake:"
 write_box >box.obj
 awk '/^v / { print $0, $2, $3 / 2, $4 / 3; next } { print }' box.obj >scan.obj
 # The charts in two tiles: 1002, and 1012 from half the height of the map on.
@@ -14,115 +15,35 @@ rm scan.obj box.obj
 size="--size 1002=90x70,*=64 --padding 5"
 mkdir one farm
 
-# alike SCAN TASKS OPTION...: the maps of a bake in one run and in tasks are the same.
-alike()
+# parts N INPUT... OPTION...: bakes all parts into farm/, in any order, with other threads and budgets.
+parts()
 {
-    rm -rf one farm
-    mkdir one farm
-    scan=$1 tasks=$2
-    shift 2
-    ok $bake "$scan" low.obj $size "$@"
-    (
-        cd farm
-        "$BIN/bisque-bake" "../$scan" ../low.obj $size "$@" --tasks "$tasks" --plan plan.json >"$out" 2>"$err"
-    )
-    check "a plan of $tasks tasks: $*" $?
-    task=$tasks
-    while [ $task -gt 0 ]; do # in any order, with other threads and budgets
-        task=$((task - 1))
-        run bisque-bake --plan farm/plan.json --task $task --threads $((1 + task % 3)) --memory 60M
-        [ "$code" -eq 0 ] || break
-    done
-    check "tasks: $*" "$code"
-    ok $bake --plan farm/plan.json --merge
-    for map in *.exr *.png; do
-        [ ! -e "$map" ] || same "$map" "farm/$map"
-        rm -f "$map"
+    part=$1
+    shift
+    while [ $part -gt 0 ]; do
+        (cd farm && "$BIN/bisque-bake" "$@" --part $part/$all --threads $((1 + part % 3)) --memory 60M) >"$out" 2>"$err" || return
+        part=$((part - 1))
     done
 }
 
-alike scan.nvdb 5 --maps all --rays ao=2 --rays thickness=2 -o 'm_<MAP>.<UDIM>.exr' --preview look.png
-# The ranges of heights and curvature follow from all tasks.
-alike scan.tris 3 --maps all -o 'x_<MAP>.<UDIM>.exr'
-alike scan.nvdb 4 --maps height,curvature,normal -o 'r_<MAP>.<UDIM>.png' --normal green=down --cage "$work/here/low.obj" --back 0.2
-alike scan.nvdb 1 --maps mask -o 'k_<UDIM>.exr' --samples 3
-printf 'P2 2 1 255\n30 220\n' >"$work/here/skew.pgm"
-alike scan.tris 2 --maps height -o 's_<UDIM>.exr' --skew "$work/here/skew.pgm"
-jq -e '[.inputs[].role] | index("the skew map")' farm/plan.json >/dev/null
-check "the skew map is an input of the plan" $?
-# More tasks than blocks: some have nothing to bake.
-alike scan.nvdb 40 --maps normal -o 'n_<UVTILE>.exr' --samples 1 --device cpu
-alike scan.tris 2 --maps color,position -o 'p_<MAP>.<UDIM>.exr' --tiles 1012 --normal space=object
-
-# What the tasks could not measure is counted again by the merge.
-rm -rf farm
-mkdir farm
-(cd farm && "$BIN/bisque-bake" ../scan.nvdb ../low.obj -o 'c_<UDIM>.png' --size 32 --maps curvature --distance curvature=100 \
-    --tasks 3 --plan plan.json) >"$out" 2>"$err"
-check "a plan of unknown curvature" $?
-ok $bake --plan farm/plan.json --task 0-2
-texels=$(sed -n 's/.* around the hits of \([0-9]*\) of .*/\1/p' "$err" | awk '{ sum += $1 } END { print sum }')
-$bake --plan farm/plan.json --merge --strict
-code 65
-holds "a strict merge writes no map of unknown curvature" [ ! -e farm/c_1002.png ]
-ok $bake --plan farm/plan.json --merge
-grep -q "warning: map curvature: no surface around the hits of $texels of $texels texels, at a radius of 100" "$err"
-check "a merge warns of unknown curvature" $?
-ok $bake --plan farm/plan.json --merge
-holds "a merge that is kept warns of it too" grep -q "of $texels texels, at a radius of 100" "$err"
-$bake --plan farm/plan.json --merge --strict
-code 65
-
-# A plan keeps --strict.
-rm -rf farm
-mkdir farm
-(cd farm && "$BIN/bisque-bake" ../scan.nvdb ../low.obj -o 'c_<UDIM>.png' --size 32 --maps curvature --distance curvature=100 \
-    --strict --tasks 3 --plan plan.json) >"$out" 2>"$err"
-check "a strict plan" $?
-$bake --plan farm/plan.json --task 0-2
-code 65
-grep -q 'map curvature: no surface around the hits of ' "$err"
-check "a task of a strict plan ends with what is lost" $?
-
-# A plan keeps --max-missed for its merge, which may have another. A merge that is kept obeys too.
-rm -rf farm
-mkdir farm
-awk '/^v / { $2 += 0.5 } { print }' low.obj >aside.obj
-(cd farm && "$BIN/bisque-bake" ../scan.nvdb ../aside.obj -o 'm_<UDIM>.png' --size 32 --maps mask --front 0.1 --back 0.1 \
-    --max-missed 5 --tasks 2 --plan plan.json) >"$out" 2>"$err"
-check "a plan with --max-missed" $?
-ok $bake --plan farm/plan.json --task 0-1
-for again in 1 2; do
-    $bake --plan farm/plan.json --merge
-    code 1
-    grep -q ' % of the samples found no surface, more than --max-missed 5$' "$err"
-    check "merge $again says what is wrong" $?
-done
-holds "the maps are there" [ -s farm/m_1002.png ]
-ok $bake --plan farm/plan.json --merge --max-missed 99
-$bake --plan farm/plan.json --merge --max-missed 0
-code 1
-rm aside.obj
-
-# ---- several scans and low-poly meshes ----
-
-# alike_several TASKS OPTION...: as alike(), with all inputs in `inputs`.
-alike_several()
+# alike N INPUTS OPTION...: the outputs of a bake in one run and in N parts are the same.
+alike()
 {
+    all=$1 inputs=$2
+    shift 2
     rm -rf one farm
     mkdir one farm
-    tasks=$1
-    shift
+    # shellcheck disable=SC2086 # several words
     (cd one && "$BIN/bisque-bake" $inputs $size "$@") >"$out" 2>"$err"
     check "one bake of $inputs: $*" $?
-    (cd farm && "$BIN/bisque-bake" $inputs $size "$@" --tasks "$tasks" --plan "a <UDIM> plan.json") >"$out" 2>"$err"
-    check "a plan of $tasks tasks: $*" $?
-    $bake --plan "farm/a <UDIM> plan.json" --task 1-$((tasks - 1)) --memory 60M
-    code 0
-    ok $bake --plan "farm/a <UDIM> plan.json" --task 0 --threads 1
-    ok $bake --plan "farm/a <UDIM> plan.json" --merge
+    # shellcheck disable=SC2086
+    parts $all $inputs $size "$@"
+    check "$all parts: $*" $?
+    # shellcheck disable=SC2086
+    (cd farm && "$BIN/bisque-bake" $inputs $size "$@" --merge $all) >"$out" 2>"$err"
+    check "merge of $all parts: $*" $?
     (cd one && ls) >maps
-    (cd farm && ls | grep '\.exr$') | cmp -s - maps
+    (cd farm && ls | grep -v part-) | cmp -s - maps
     check "all maps are there: $*" $?
     while read -r map; do
         same "one/$map" "farm/$map"
@@ -130,253 +51,229 @@ alike_several()
     rm maps
 }
 
+grid="../scan.nvdb ../low.obj" exact="../scan.tris ../low.obj"
+alike 5 "$grid" --maps all --rays ao=2,thickness=2 -o 'm_<MAP>.<UDIM>.exr' --preview look.png --glb low.glb
+# The ranges of heights and curvature follow from all parts.
+alike 3 "$exact" --maps all -o 'x_<MAP>.<UDIM>.exr'
+alike 4 "$grid" --maps height,curvature,normal -o 'r_<MAP>.<UDIM>.png' --normal green=down --cage ../low.obj --back 0.2
+alike 1 "$grid" --maps mask -o 'k_<UDIM>.exr' --samples 3
+alike 3 "$exact" --maps ao,thickness -o 'f_<MAP>.<UDIM>.png' --rays ao=4,thickness=4,filter=surface
+printf 'P2 2 1 255\n30 220\n' >skew.pgm
+alike 2 "$exact" --maps height -o 's_<UDIM>.exr' --skew ../skew.pgm
+# More parts than blocks: some have no texels.
+alike 200 "$grid" --maps normal -o 'n_<UVTILE>.exr' --samples 1 --device cpu
+holds "some parts are empty" [ "$(ls farm | grep -c part-)" -lt 200 ]
+alike 2 "$exact" --maps color,position -o 'p_<MAP>.<UDIM>.exr' --normal space=object --type float
+
+# What no part could measure is counted again by the merge.
+rm -rf farm
+mkdir farm
+unknown="scan.nvdb low.obj --low normals=angle -o farm/c_<UDIM>.png --size 32 --maps curvature --distance curvature=100"
+for part in 1 2 3; do
+    ok $bake $unknown --part $part/3
+    grep 'around the hits of' "$err" >>counts
+done
+texels=$(sed -n 's/.* around the hits of \([0-9]*\) of .*/\1/p' counts | awk '{ sum += $1 } END { print sum }')
+$bake $unknown --merge 3 --strict
+code 65
+holds "a strict merge writes no map of unknown curvature" [ ! -e farm/c_1002.png ]
+ok $bake $unknown --merge 3
+grep -q "warning: map curvature: no surface around the hits of $texels of $texels texels, at a radius of 100" "$err"
+check "a merge warns of unknown curvature" $?
+rm farm/*
+$bake $unknown --part 1/3 --strict
+code 65
+grep -q 'map curvature: no surface around the hits of ' "$err"
+check "a strict part ends with what is lost" $?
+holds "and leaves no file" [ -z "$(ls farm)" ]
+
+# A merge obeys --max-missed, parts do not.
+awk '/^v / { $2 += 0.5 } { print }' low.obj >aside.obj
+aside="scan.nvdb aside.obj -o farm/m_<UDIM>.png --size 32 --maps mask --front 0.1 --back 0.1 --max-missed 5"
+ok $bake $aside --part 1/2
+ok $bake $aside --part 2/2
+$bake $aside --merge 2
+code 1
+grep -q ' % of the samples found no surface, more than --max-missed 5$' "$err"
+check "the merge says what is wrong" $?
+holds "the maps are there" [ -s farm/m_1002.png ]
+rm aside.obj
+
+# ---- several scans and low-poly meshes ----
+
 awk '/^v / { $4 += 0.05 } { print }' low.obj | sed '1i o lid' >lid_low.obj
 sed '1i o box' low.obj >box_low.obj
 run bisque-voxelize low.obj -o box_high.nvdb --resolution 24
 run bisque-voxelize lid_low.obj -o lid_high.nvdb --resolution 33
-inputs="../box_high.nvdb ../lid_high.tris ../low.obj"
-alike_several 3 --maps normal,height,curvature,mask -o 'm_<MAP>.<UDIM>.exr' --samples 3
-[ "$(jq -c '[.inputs[].path] | sort' farm/*.json)" = '["../box_high.nvdb","../lid_high.tris","../low.obj"]' ]
-check "all scans are inputs of the plan" $?
-cp lid_high.tris keep
-run bisque-voxelize box_low.obj -o lid_high.nvdb --resolution 33
-$bake --plan "farm/a <UDIM> plan.json" --task 0
-refused_like 65 '^bisque-bake: farm/\.\./lid_high\.tris: a scan is not the file that the plan|^bisque-bake: lid_high\.tris: a scan is not'
-mv keep lid_high.tris
-run bisque-voxelize lid_high.tris -o lid_high.nvdb --resolution 33
+alike 3 "../box_high.nvdb ../lid_high.tris ../low.obj" --maps normal,height,curvature,mask -o 'm_<MAP>.<UDIM>.exr' --samples 3
 # Objects see scans of their names, and have maps of their own.
-inputs="../box_high.nvdb ../lid_high.nvdb ../box_low.obj ../lid_low.obj"
 sed -i 's/^o .*/o lid_low/' lid_low.obj
 sed -i 's/^o .*/o box_low/' box_low.obj
-alike_several 4 --maps normal,ao,position --rays ao=2 --match name -o '<OBJECT>_<MAP>.<UDIM>.exr'
-holds "maps of two objects in two tiles" [ "$(ls farm/*.exr | wc -l)" -eq 12 ]
-inputs="../scan.nvdb ../box_low.obj ../lid_low.obj"
-alike_several 2 --maps mask -o '<MATERIAL>.<UDIM>.exr' --samples 1
-
-# The percentage counts the tiles that a task traces.
-run bisque-bake box_high.nvdb lid_high.nvdb box_low.obj $size -o 'm_<MAP>.<UDIM>.exr' --maps ao --rays ao=1 --progress openjd
-for percent in 33.5 66.0; do # after each tile
-    holds "progress of $percent" grep -qx "openjd_progress: $percent" "$out"
-done
-run bisque-bake scan.nvdb low.obj $size -o 'm_<MAP>.<UDIM>.exr' --maps mask --tasks 40 --plan forty.json
-task=$(jq '[.tiles[].blocks | [scan("[*]([0-9]+)")[0]]] | .[1] - .[0] | .[0] | tonumber' forty.json) # of one of two tiles
-$bake --plan forty.json --task "$task" --progress openjd
-holds "it counts this tile alone" grep -qx 'openjd_progress: 66.0' "$out"
-rm forty.* m_*
+alike 4 "../box_high.nvdb ../lid_high.nvdb ../box_low.obj ../lid_low.obj" --maps normal,ao,position --rays ao=2 --match name \
+    -o '<OBJECT>_<MAP>.<UDIM>.exr'
+holds "maps of two objects in two tiles" [ "$(ls farm | grep -vc part-)" -eq 12 ]
+alike 2 "../scan.nvdb ../box_low.obj ../lid_low.obj" --maps mask -o '<MATERIAL>.<UDIM>.exr' --samples 1
 
 # ---- the same again ----
 
-plan="bisque-bake scan.nvdb low.obj $size --low normals=angle -o maps/<MAP>.<UDIM>.exr --maps normal,height --tasks 3 --plan farm/plan.json"
+rm -rf farm maps
 mkdir maps
-rm -rf one farm/*
-ok run $plan
-out_like '^farm/plan\.json: 3 tasks for [0-9,]+ texels in 2 tiles$'
-run $plan
-out_like '^farm/plan\.json: 3 tasks for [0-9,]+ texels in 2 tiles, was there already$'
-run $plan --json
-json '.tasks == 3 and .kept and .task_memory_bytes > 0 and .parts_bytes > 0'
-# Nothing but the plan is written, and no map.
-[ "$(ls farm maps)" = "farm:
-plan.json
-
-maps:" ]
-check "a plan writes no maps" $?
-
-# What tasks need follows from inputs and options alone, and so does the plan's id.
-for scan in scan.nvdb scan.tris; do
-    need="bisque-bake $scan low.obj --tiles 1002 --size 512 --samples 1 -o m.exr --maps normal --tasks 1 --plan need.json"
-    rm -f need.*
-    ok run $need --threads 1 --memory 60M
-    run $need --threads 3 --memory 1G
-    out_like '^need\.json: 1 task for [0-9,]+ texels in 1 tile, was there already$'
-    out_like '^a task: about [0-9.]+ MiB of memory with eight threads, [0-9.]+ MiB of temporary files with less, 0\.[0-9]+ s of one core$'
-    $bake --plan need.json --task 0 --threads 8 --memory 1G --device cpu --json
-    jq -e --slurpfile plan need.json '.cost.memory_high_bytes as $high | $plan[0].expected[0].memory_bytes |
-        . >= $high and . <= 2 * $high + 25 * 1048576' "$out" >"$work/jq"
-    check "$scan: a task takes about the memory that its plan expects" $?
-done
-rm need.*
-
-p="bisque-bake:"
-$bake --plan farm/plan.json --merge
-refused 66 "$p farm/plan.0000.part: missing; 3 of 3 parts are missing: those of tasks 0, 1, 2"
-for task in 0 2; do
-    ok $bake --plan farm/plan.json --task $task
-done
-$bake --plan farm/plan.json --merge
-refused 66 "$p farm/plan.0001.part: missing; 1 of 3 parts are missing: those of task 1"
-$bake --plan farm/plan.json --task 3
-refused 64 "$p farm/plan.json: there is no task 3: tasks are 0 to 2"
-ok $bake --plan farm/plan.json
-out_like '^farm/plan\.json: 3 tasks for [0-9,]+ texels in 2 tiles$'
-ok $bake --plan farm/plan.json --json
-json '.tasks == 3 and .task_memory_bytes > 0 and .parts_bytes > 0'
-ok $bake --plan farm/plan.json --task 1 --json
-json '.task == 1 and (.kept | not) and .samples > 0'
-before=$(stat -c %i.%y farm/plan.0001.part)
-ok $bake --plan farm/plan.json --task 1
-out_like '^farm/plan\.0001\.part: this part is complete already, kept$'
-holds "a complete part is not touched" [ "$(stat -c %i.%y farm/plan.0001.part)" = "$before" ]
-ok $bake --plan farm/plan.json --task 1 --force
-holds "--force bakes it again" [ "$(stat -c %i.%y farm/plan.0001.part)" != "$before" ]
-ok $bake --plan farm/plan.json --merge
-out_like '^maps/normal\.1002\.exr: normal map$'
-ok $bake --plan farm/plan.json --merge
-out_like '^farm/plan\.json: the merge of this plan is complete already, kept$'
-echo x >>maps/height.1012.exr
-$bake --plan farm/plan.json --merge --json
-json '.samples > 0 and .samples == .hits + .misses'
-ok $bake --plan farm/plan.json --merge --force
-out_like '^maps/normal\.1002\.exr: normal map$'
-rm farm/plan.*.merged maps/*
-mkdir farm/plan.0001.merged
-$bake --plan farm/plan.json --merge
-code 73
-holds "no maps if the note of the merge cannot be written" [ -z "$(ls maps)" ]
-rmdir farm/plan.0001.merged
-ok $bake --plan farm/plan.json --merge
-
-# ---- tiles are merged by themselves, on several machines ----
-
-mkdir one
-(cd one && "$BIN/bisque-bake" ../scan.nvdb ../low.obj $size -o '<MAP>.<UDIM>.png' --maps normal,height,curvature \
-    --preview look.png) >"$out" 2>"$err"
-check "one bake with a preview" $?
-(cd one && "$BIN/bisque-bake" ../scan.nvdb ../low.obj $size -o '../maps/<MAP>.<UDIM>.png' --maps normal,height,curvature \
-    --preview ../maps/look.png --tasks 4 --plan ../farm/tiles.json) >"$out" 2>"$err"
-check "a plan with a preview" $?
-ok $bake --plan farm/tiles.json --json
-json '.tiles == 2'
-$bake --plan farm/tiles.json --merge --task 1
+whole="scan.nvdb low.obj $size --low normals=angle -o maps/<MAP>.<UDIM>.exr --maps normal,height"
+$bake $whole --merge 3
+refused 66 "$p maps/part-1-of-3.1002.exr: missing; of 3 parts, 3 are missing: 1, 2, 3"
+ok $bake $whole --part 1/3
+ok $bake $whole --part 3/3 --json
+json '.part == 3 and .parts == 3 and (.kept | not) and .samples > 0'
+$bake $whole --merge 3
 code 66
-ok $bake --plan farm/tiles.json --task 0-3
-ok $bake --plan farm/tiles.json --merge --task 1 --memory 60M
-out_like '^maps/height\.1012\.png: height map, range '
-[ "$(ls maps/*.png | tr '\n' ' ')" = 'maps/curvature.1012.png maps/height.1012.png maps/normal.1012.png ' ]
+grep -q "^$p maps/part-2-of-3\.10.2\.exr: missing; of 3 parts, 1 is missing: 2$" "$err"
+check "the missing part is named" $?
+ok $bake $whole --part 2/3
+before=$(stat -c %i.%y maps/part-2*)
+ok $bake $whole --part 2/3 --threads 1 --device cpu --padding 9
+out_like '^maps/<MAP>\.<UDIM>\.exr: part 2/3 is complete already, kept$'
+holds "a part that is done is not touched" [ "$(stat -c %i.%y maps/part-2*)" = "$before" ]
+ok $bake $whole --part 2/3 --json
+json .kept
+ok $bake $whole --merge 3 --json
+json '.samples > 0 and .samples == .hits + .misses and .device == "3 parts" and (.tiles | length) == 2 and .unseen == null'
+ok $bake $whole --merge 3
+out_like '^how much of the scan no ray reached was not counted: bakes in parts do not'
+
+# Tiles are merged by themselves, on several machines, with the ranges of all.
+rm -rf one
+mkdir one
+tiles="-o <MAP>.<UDIM>.png --maps normal,height,curvature --preview look.png"
+(cd one && "$BIN/bisque-bake" $grid $size $tiles) >"$out" 2>"$err"
+check "one bake with a preview" $?
+(
+    cd maps
+    for part in 1 2 3 4; do
+        "$BIN/bisque-bake" $grid $size $tiles --part $part/4 || exit
+    done
+    "$BIN/bisque-bake" $grid $size $tiles --merge 4 --tiles 1012 --memory 60M --json
+) >"$out" 2>"$err"
+check "four parts, and the merge of a tile" $?
+[ "$(cd maps && echo *.png)" = 'curvature.1012.png height.1012.png normal.1012.png' ]
 check "the maps of one tile, and no preview" $?
-ok $bake --plan farm/tiles.json --merge --task 1
-out_like '^farm/tiles\.json: the merge of this tile is complete already, kept$'
-ok $bake --plan farm/tiles.json --merge --task 0-7 # a scheduler need not know how many there are
-$bake --plan farm/tiles.json --merge --task 7 --json
-json '.merge_tile == 7 and .kept == false'
-before=$(stat -c %i.%y maps/*.png)
-ok $bake --plan farm/tiles.json --merge
-holds "the last step writes the preview only" [ "$(stat -c %i.%y maps/[!l]*.png)" = "$before" ]
+tail -n +1 "$out" | grep -q '"encodings"' && ! grep -q '1002' "$out"
+check "the report is of this tile" $?
+for map in curvature height normal; do
+    same one/$map.1012.png maps/$map.1012.png
+done
+(cd maps && "$BIN/bisque-bake" $grid $size $tiles --merge 4) >"$out" 2>"$err"
 for map in one/*; do
     same "$map" "maps/${map#one/}"
 done
-ok $bake --plan farm/tiles.json --merge
-out_like '^farm/tiles\.json: the merge of this plan is complete already, kept$'
-rm maps/height.1002.png
-: >farm/tiles.0001.merged # a damaged note: the tile is merged again
-ok $bake --plan farm/tiles.json --merge
-for map in one/*; do
-    same "$map" "maps/${map#one/}"
-done
-rm -r one maps/*.png farm/tiles.*
+$bake $whole --merge 3 --tiles 1001
+refused 64 "$p no triangle lies in the tiles of --tiles"
+$bake $whole --part 1/3 --tiles 1002
+refused 64 "$p a part has all tiles: give --tiles to --merge only"
 
-# A plan without ".json" at the end of its name has parts of its own.
-cp farm/plan.0000.part keep
-ok $bake scan.nvdb low.obj $size -o 'other_<MAP>.<UDIM>.exr' --maps mask --tasks 1 --plan farm/plan
-ok $bake --plan farm/plan --task 0
-out_like '^farm/plan\.part\.0000: task 0, '
-same keep farm/plan.0000.part
-ok $bake --plan farm/plan --merge
-rm farm/plan farm/plan.part.0000 farm/plan.merged.000? other_* keep
-
-# A folder can move, with all that a plan names below it or beside it.
+# A folder can move, with all that is in it; names of inputs may be others.
 mkdir moved
-cp -r low.obj scan.nvdb farm maps moved
-rm moved/maps/*
-(cd moved/farm && "$BIN/bisque-bake" --plan plan.json --merge) >"$out" 2>"$err"
-check "a plan that was moved" $?
-for map in maps/*; do
-    same $map moved/$map
+cp low.obj moved/low_poly.obj
+cp scan.nvdb moved
+cp maps/part-?-of-3.* moved
+(cd moved && "$BIN/bisque-bake" scan.nvdb low_poly.obj $size --low normals=angle -o '<MAP>.<UDIM>.exr' --maps normal,height --merge 3) >"$out" 2>"$err"
+check "parts that were moved" $?
+for map in maps/normal.*.exr maps/height.*.exr; do
+    same $map moved/${map#maps/}
 done
 rm -r moved
 
 # ---- damaged, foreign, changed ----
 
-# damaged FILE OFFSET: changes one byte of it.
-damaged()
-{
-    cp farm/plan.$1.part keep
-    at=$(($2 < 0 ? $(stat -c %s keep) + $2 : $2))
-    byte=$(od -An -tu1 -j $at -N 1 keep)
-    printf "\\$(printf %03o $((byte ^ 16)))" | dd of=farm/plan.$1.part bs=1 seek=$at conv=notrunc 2>"$work/dd"
-}
-for place in 0 8 12 17 33 45 50 90 99 5000 -1; do
-    damaged 0001 $place
-    $bake --plan farm/plan.json --merge --force
-    refused_like 65 "^$p farm/plan\.0001\.part: .*: run this task again$"
-    if [ $place = 5000 ]; then # the task itself notices, too
-        ok $bake --plan farm/plan.json --task 1
-        out_like '^farm/plan\.0001\.part: task 1, '
-        same keep farm/plan.0001.part
-    fi
-    mv keep farm/plan.0001.part
+rm -rf farm
+mkdir farm
+whole="scan.nvdb one.obj --low normals=angle --size 64 -o farm/o_<MAP>.exr --maps normal,height"
+awk '/^vt / { $2 -= 1; $3 /= 2 } { print }' low.obj >one.obj
+for part in 1 2 3; do
+    ok $bake $whole --part $part/3
 done
-cp farm/plan.0002.part keep
-head -c 5000 keep >farm/plan.0002.part
-$bake --plan farm/plan.json --merge --force
-refused 65 "$p farm/plan.0002.part: damaged: its size is wrong: run this task again"
-cp farm/plan.0001.part farm/plan.0002.part
-$bake --plan farm/plan.json --merge --force
-refused 65 "$p farm/plan.0002.part: the part of another task: run this task again"
-: >farm/plan.0002.part
-$bake --plan farm/plan.json --merge --force
-err "$p farm/plan.0002.part: not a part of a bake: run this task again"
-mv keep farm/plan.0002.part
+again=': bake this part again$'
+# refused_again FILE PATTERN: a merge refuses a file and says why; then it is as before.
+refused_again()
+{
+    $bake $whole --merge 3
+    refused_like 65 "^$p farm/$1: $2"
+    mv keep farm/$1
+}
+second=o_part-2-of-3.exr
+bytes=$(wc -c <farm/$second)
+for place in 0 5 9 400 $((bytes / 2)) $((bytes - 9)); do
+    cp farm/$second keep
+    byte=$(od -An -tu1 -j $place -N 1 keep)
+    printf "\\$(printf %03o $((byte ^ 16)))" | dd of=farm/$second bs=1 seek=$place conv=notrunc 2>"$work/dd"
+    refused_again $second ''
+done
+# The part itself notices damage, too.
+cp farm/$second keep
+printf x | dd of=farm/$second bs=1 seek=$((bytes / 2)) conv=notrunc 2>"$work/dd"
+ok $bake $whole --part 2/3
+out_like '^farm/o_<MAP>\.exr: part 2/3, '
+same keep farm/$second
+for length in 0 3 300 $((bytes / 2)) $((bytes - 1)); do
+    cp farm/$second keep
+    head -c $length keep >farm/$second
+    refused_again $second ''
+done
+# changed FROM TO: replaces a text of the same length in the file.
+changed()
+{
+    cp farm/$second keep
+    LC_ALL=C sed "s|$1|$2|" keep >farm/$second
+    holds "the file says $2" grep -qa "$2" farm/$second
+}
+version=$("$BIN/bisque-bake" --version | sed -n '1s/.* //p')
+changed "$version" "$(echo "$version" | tr 0-8 1-9)"
+refused_again $second "a part by another version of Bisque$again"
+cp farm/$second keep
+cp farm/o_part-1-of-3.exr farm/$second
+refused_again $second "another part$again"
+changed '2/3' '2/4'
+refused_again $second "another part$again"
+changed '1001 (1/1)' '1002 (1/1)'
+refused_again $second "a part of another tile$again"
+changed 'bisque:inputs' 'bisque:outfit'
+refused_again $second "not a part of a bake$again"
+cp farm/$second keep
+ok $bake scan.nvdb one.obj --size 64 -o farm/x_height.exr --maps height
+mv farm/x_height.exr farm/$second
+refused_again $second ''
+cp farm/$second keep
+ok $bake $whole --samples 1 --part 2/3
+out_like '^farm/o_<MAP>\.exr: part 2/3, ' # with another option it is another part
+refused_again $second "a part of a bake with other options$again"
+cp one.obj one.good
+sed 's/^v 1 2 3/v 1 2 3.1/' one.good >one.obj
+$bake $whole --merge 3
+refused_like 65 "^$p farm/o_part-1-of-3\.exr: a part of a bake with other inputs$again"
+cp farm/$second keep
+ok $bake $whole --part 2/3
+out_like '^farm/o_<MAP>\.exr: part 2/3, '
+mv one.good one.obj
+refused_again $second "a part of a bake with other inputs$again"
+holds "no map was written" [ ! -e farm/o_normal.exr ]
+ok $bake $whole --merge 3
 
 # The reader in Python accepts what Bisque wrote and refuses what is damaged.
-find_python
-if [ -n "$python" ]; then
-    "$python" -B "$top/tests/oracle/read_part.py" farm/plan.json farm/*.part >"$out" 2>"$err"
+if find_python; then
+    "$python" -B "$top/tests/oracle/read_part.py" farm/o_part-*.exr maps/*part-*.exr >"$out" 2>"$err"
     check "the reader in Python accepts the parts" $?
-    for place in 30 104 7000 -3; do
-        damaged 0001 $place
-        ! "$python" -B "$top/tests/oracle/read_part.py" farm/plan.json farm/plan.0001.part >"$out" 2>"$err" &&
-            grep -q 'refused' "$out"
+    for place in 30 400 $((bytes / 2)) $((bytes - 3)); do
+        cp farm/$second keep
+        printf '\376' | dd of=keep bs=1 seek=$place conv=notrunc 2>"$work/dd"
+        ! "$python" -B "$top/tests/oracle/read_part.py" keep >"$out" 2>"$err" && grep -q 'refused' "$out"
         check "the reader in Python refuses a part with a changed byte at $place" $?
-        mv keep farm/plan.0001.part
     done
 else
     lacks "a reader in Python" "python3-numpy or python3-xxhash is not installed"
 fi
 
-cp farm/plan.json plan.good
-sed 's/"samples": 2/"samples": 3/' plan.good >farm/plan.json
-$bake --plan farm/plan.json --task 0
-refused 65 "$p farm/plan.json: damaged plan: its id does not fit the rest"
-sed 's/"program_version": "[^"]*"/"program_version": "0.1.9"/' plan.good >farm/plan.json
-$bake --plan farm/plan.json --task 0
-refused_like 65 "^$p farm/plan\.json: this plan is of Bisque 0\.1\.9, this program is .*: all tasks need one version$"
-for size_kept in 0 1 100 700 1500; do
-    head -c $size_kept plan.good >farm/plan.json
-    $bake --plan farm/plan.json --task 0
-    code 65
-done
-echo '{"format": "a recipe"}' >farm/plan.json
-$bake --plan farm/plan.json --task 0
-err "$p farm/plan.json: not a plan of bisque-bake"
-mv plan.good farm/plan.json
-cp low.obj low.good
-sed 's/^v 1 2 3/v 1 2 3.1/' low.good >low.obj
-for step in "--task 0 --force" "--task 0" --merge; do # the last two are complete already
-    $bake --plan farm/plan.json $step
-    refused 65 "$p low.obj: the low-poly mesh is not the file that the plan farm/plan.json was made with: make a new plan"
-done
-mv low.good low.obj
-# A plan with another option has another id.
-ok run $plan --samples 1
-$bake --plan farm/plan.json --merge
-refused 65 "$p farm/plan.0000.part: a part of another plan: run this task again"
-ok $bake --plan farm/plan.json --task 0
-out_like '^farm/plan\.0000\.part: task 0, '
-
 # ---- paths ----
 
-# The scan names a texture, and the plan its files, by paths of another machine.
+# The scan names a texture by a path of another machine; another picture is another input.
 mkdir -p here/textures
 printf 'P3 2 1 255 250 10 20 30 40 250' >here/textures/skin.ppm
 sed 's/^v \([^ ]* [^ ]* [^ ]*\).*/v \1/' low.obj >here/skin.obj
@@ -392,55 +289,37 @@ cat >rules.json <<JSON
 JSON
 ok run bisque-voxelize /mnt/farm/skin.obj -o here/skin.nvdb --resolution 24 --path-map rules.json
 holds "the texture is found by the rules" grep -aq "$PWD/here/textures/skin.ppm" here/skin.tris
-ok $bake /mnt/farm/skin.tris low.obj $size -o "$PWD/here/<MAP>.<UDIM>.exr" --maps color --tasks 2 --plan here/plan.json \
-    --path-map rules.json
-jq -e '[.inputs[].path] | sort == ["../low.obj", "skin.tris", "textures/skin.ppm"]' here/plan.json >"$work/jq"
-check "inputs below the plan and beside it have relative paths" $?
-ok $bake ./here/skin.tris here/../low.obj $size -o './here/../<MAP>.<UDIM>.exr' --maps color --tasks 2 --plan here/dots.json \
-    --path-map rules.json
-jq -e '[.inputs[].path, .options.output_path] | sort ==
-    ["../<MAP>.<UDIM>.exr", "../low.obj", "skin.tris", "textures/skin.ppm"]' here/dots.json >"$work/jq"
-check "paths with . and .. are relative to the plan, too" $?
-rm here/dots.json
-mkdir other
-cp here/*.tris here/*.json other
-cp -r here/textures other
+skin="$size --low normals=angle --maps color -o farm/<MAP>.<UDIM>.exr"
+ok $bake here/skin.tris low.obj $size --low normals=angle --maps color -o 'skin.<UDIM>.exr'
+ok $bake /mnt/farm/skin.tris low.obj $skin --part 1/2 --path-map rules.json
 jq -c --arg here "$PWD/here" '{version: "pathmapping-1.0", path_mapping_rules: [{source_path_format: "POSIX",
     source_path: $here, destination_path: ($here | sub("here$"; "other"))}]}' -n >moved.json
-mv here gone
-for task in 0 1; do
-    ok $bake --plan other/plan.json --task $task --path-map moved.json
-done
-ok $bake --plan other/plan.json --merge --path-map moved.json
-ok $bake gone/skin.tris low.obj $size -o 'skin.<UDIM>.exr' --maps color --path-map moved.json
+mv here other
+ok $bake other/skin.tris low.obj $skin --part 2/2 --path-map moved.json
+cp other/textures/skin.ppm skin.ppm
+printf 'P3 2 1 255 250 10 20 30 40 251' >other/textures/skin.ppm
+$bake other/skin.tris low.obj $skin --merge 2 --path-map moved.json
+refused_like 65 "^$p farm/part-1-of-2\.10.2\.exr: a part of a bake with other inputs$again"
+mv skin.ppm other/textures
+ok $bake other/skin.tris low.obj $skin --merge 2 --path-map moved.json
 for tile in 1002 1012; do
-    same skin.$tile.exr other/color.$tile.exr
-done
-# All tasks in one process: threads do not keep what they know of the textures of a task before.
-ok $bake gone/skin.tris low.obj $size -o 'many.<UDIM>.exr' --maps color --tasks 12 --plan many.json \
-    --path-map moved.json
-ok $bake --plan many.json --task 0-11 --threads 2 --path-map moved.json
-ok $bake --plan many.json --merge --path-map moved.json
-for tile in 1002 1012; do
-    same skin.$tile.exr many.$tile.exr
+    same skin.$tile.exr farm/color.$tile.exr
 done
 for bad in '{' '[]' '{"version": "pathmapping-2.0"}' '{"version": "pathmapping-1.0", "path_mapping_rules": 3}' \
     '{"version": "pathmapping-1.0", "path_mapping_rules": [{"source_path_format": "POSIX", "source_path": "/a"}]}' \
     '{"version": "pathmapping-1.0", "path_mapping_rules": [{"source_path_format": "DOS", "source_path": "/a", "destination_path": "/b"}]}'; do
     echo "$bad" >bad.json
-    $bake --plan farm/plan.json --task 0 --path-map bad.json
+    $bake $whole --part 1/3 --path-map bad.json
     refused_like 65 "^$p bad\.json: no rules of pathmapping-1\.0: "
 done
 # What the parser would allocate is reserved from the budget: here about 100 bytes for each byte.
 awk 'BEGIN { printf "["; for (i = 0; i < 300000; i++) printf "{},"; print "{}]" }' >wide.json
-$bake --plan farm/plan.json --task 0 --path-map wide.json --memory 60M
-code 71
-$bake --plan wide.json --task 0 --memory 60M
+$bake $whole --part 1/3 --path-map wide.json --memory 60M
 code 71
 rm wide.json
 for none in '{"version": "pathmapping-1.0"}' '{}'; do
     echo "$none" >none.json
-    ok $bake --plan farm/plan.json --task 0 --path-map none.json
+    ok $bake $whole --part 1/3 --path-map none.json
 done
 
 # ---- progress ----
@@ -448,21 +327,22 @@ done
 ok $bake scan.nvdb low.obj $size -o 'maps/<MAP>.<UDIM>.exr' --maps normal,curvature --progress openjd
 percentages 's/^openjd_progress: \([0-9.]*\)$/\1/p' && grep -q '^openjd_status: tracing$' "$out" && [ ! -s "$err" ]
 check "progress for Open Job Description rises from 0 to 100, also with two UDIM tiles" $?
-ok $bake --plan farm/plan.json --task 0 --force --progress alf
+ok $bake $whole --samples 3 --part 1/3 --progress alf
 percentages 's/^ALF_PROGRESS \([0-9]*\)%$/\1/p'
-check "progress of a task rises from 0 to 100" $?
-ok $bake --plan farm/plan.json --task 0-2 --force --progress openjd
-percentages 's/^openjd_progress: \([0-9.]*\)$/\1/p' && grep -qx 'openjd_progress: 33.3' "$out" && grep -q '^farm/plan\.0002\.part: task 2' "$out"
-check "progress of three tasks rises from 0 to 100 once" $?
-$bake --plan farm/plan.json --task 9 --progress openjd
-code 64
-grep -qx 'openjd_fail: farm/plan.json: there is no task 9: tasks are 0 to 2' "$out" && ! grep -q 'openjd_progress: 100' "$out"
+check "progress of a part rises from 0 to 100" $?
+run bisque-bake box_high.nvdb lid_high.nvdb box_low.obj $size -o 'm_<MAP>.<UDIM>.exr' --maps ao --rays ao=1 --progress openjd
+for percent in 33.0 66.0; do # after each tile
+    holds "progress of $percent" grep -qx "openjd_progress: $percent" "$out"
+done
+$bake $whole --merge 4 --progress openjd
+code 66
+grep -qx 'openjd_fail: farm/o_part-1-of-4.exr: missing; of 4 parts, 4 are missing: 1, 2, 3, 4' "$out" && ! grep -q 'openjd_progress: 100' "$out"
 check "a failure for Open Job Description" $?
 if [ -n "${LONG-}" ]; then # it takes half a minute
     rm -f flag
     command="bisque-bake that waits" code=0
-    LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$(pwd -P) FAULT_CALLS=open FAULT_PATH=/low.obj FAULT_AT=1 FAULT_DO=pause \
-        FAULT_FLAG=flag "$BIN/bisque-bake" --plan farm/plan.json --task 0 --force --progress percent >"$out" 2>"$err" &
+    LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$(pwd -P) FAULT_CALLS=open FAULT_PATH=/one.obj FAULT_AT=1 FAULT_DO=pause \
+        FAULT_FLAG=flag "$BIN/bisque-bake" $whole --part 1/3 --progress percent >"$out" 2>"$err" &
     wait_for flag
     until [ "$(grep -c '^Progress: 0%$' "$out")" -ge 2 ]; do # another line comes within 30 s
         sleep 0.1
@@ -474,83 +354,41 @@ fi
 
 # ---- options ----
 
-$bake scan.nvdb low.obj -o x.exr --tasks 4 --plan x.json --task 0
-err "$p --task and --merge need --plan, without --tasks"
-for tiles in 2-1 x; do
-    $bake --plan farm/plan.json --merge --task $tiles
+for part in 0/2 3/2 1 1/ /2 1/2/3 -1/2 1/65537 '1 /2' ''; do
+    $bake scan.nvdb one.obj --low normals=angle -o x.exr --part "$part"
+    refused_like 64 "^$p --part: \"$part\" is not I/N"
+done
+for parts in 0 65537 x; do
+    $bake scan.nvdb one.obj --low normals=angle -o x.exr --merge $parts
     code 64
 done
-$bake --plan farm/plan.json --task 0 --samples 4
-err "$p --plan has the options of the work: leave out --samples"
-$bake --plan farm/plan.json --task 0 low.obj
-err "$p --plan names the inputs: leave out the files, or add --tasks"
-$bake --task 0
-err "$p --task and --merge need --plan, without --tasks"
-$bake scan.nvdb low.obj -o x.exr --tasks 4
-err "$p --tasks needs --plan, the file to write"
-$bake scan.nvdb low.obj -o x.exr --force
-err "$p --force needs --task or --merge"
-$bake --plan farm/plan.json --force
-err "$p --force needs --task or --merge"
-for tasks in 2-1 1- -1 1-2-3 0x1 1-65536 '1 ' ''; do
-    $bake --plan farm/plan.json --task "$tasks"
-    refused_like 64 "^$p --task: \"$tasks\""
+$bake $whole --part 1/3 --merge 3
+refused 64 "$p --part and --merge exclude each other"
+for bad in "--part 1/3" "--merge 3 --tiles 1001"; do
+    $bake $whole $bad --report x.html
+    refused 64 "$p --report shows whole bakes: give it to --merge without --tiles"
 done
-$bake --plan farm/plan.json --task 1-3
-refused 64 "$p farm/plan.json: there is no task 3: tasks are 0 to 2"
-$bake --plan farm/plan.json --max-missed 3
-err "$p --max-missed is for the bake of all texels: give it to --merge"
-$bake --plan farm/plan.json --merge --task 0 --max-missed 3
-err "$p --max-missed is for the bake of all texels: give it to --merge"
 mkfifo pipe.obj
-cat low.obj >pipe.obj &
-$bake scan.nvdb pipe.obj $size -o 'x_<MAP>.<UDIM>.exr' --tasks 4 --plan p.json
-[ "$code" -ne 0 ] && [ ! -e p.json ]
-check "no plan for a mesh from a pipe" $?
+cat one.obj >pipe.obj &
+$bake scan.nvdb pipe.obj -o x.exr --part 1/3
+[ "$code" -ne 0 ] && [ ! -e x.part-1-of-3.exr ]
+check "no part of a mesh from a pipe" $?
 kill $! 2>"$work/kill"
-$bake scan.nvdb low.obj $size -o "$(printf 'x\377_<MAP>.<UDIM>.exr')" --tasks 4 --plan p.json
-code 64
-holds "no plan with a name that is not UTF-8" [ ! -e p.json ]
-$bake scan.nvdb low.obj $size -o 'x_<MAP>.<UDIM>.exr' --tasks 4 --plan nowhere/p.json
+$bake scan.nvdb one.obj --maps mask -o nowhere/x.exr --part 1/3
 code 73
-for tasks in 0 65537 x; do
-    $bake scan.nvdb low.obj -o x.exr --tasks $tasks --plan p.json
-    code 64
-done
-$bake --plan missing.json --task 0
-code 66
-$bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 2 --plan o.exr
-refused 64 "$p o.exr: two outputs have this name"
-$bake scan.nvdb low.obj $size -o './o.<UDIM>.exr' --maps height --tasks 2 --plan o.1012.exr
-refused 64 "$p ./o.1012.exr: two outputs have this name"
-$bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 2 --preview o.png --plan ./o.png
-refused 64 "$p ./o.png: two outputs have this name"
-ok $bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 1 --plan o.json
-cp o.json o.exr
-$bake --plan o.exr --merge
-code 64
-same o.json o.exr
-rm o.json o.exr
 
 # ---- Slurm: what would be submitted; tests/farm/ submits it ----
 
 slurm=$top/tools/farm/bisque-slurm
 command="bisque-slurm bake --dry-run" code=0
-"$slurm" bake --dry-run --tasks 9 --at-most 4 --gpu --partition fast -- "a scan.nvdb" low.obj -o "o'<MAP>.exr" \
+"$slurm" bake --dry-run --parts 9 --at-most 4 --gpu --partition fast -- "a scan.nvdb" low.obj -o "o'<MAP>.exr" \
     >"$out" 2>"$err" || code=$?
 code 0
-holds "three jobs" [ "$(grep -c '^sbatch ' "$out")" -eq 3 ]
-for line in "'--array=0-8%4' '--gres=gpu:1'" "'--dependency=afterok:<bisque-plan>' '--kill-on-invalid-dep=yes'" \
-    "'--dependency=afterok:<bisque-task>' '--kill-on-invalid-dep=yes'" "'--output=logs/%A_%a.log'" "'--partition=fast'" \
-    "'a scan.nvdb' 'low.obj' '-o' 'o'\\\\''<MAP>.exr' '--tasks' '9'"; do
+holds "two jobs" [ "$(grep -c '^sbatch ' "$out")" -eq 2 ]
+for line in "'--array=0-8%4' '--gres=gpu:1'" "'--dependency=afterok:<bisque-part>' '--kill-on-invalid-dep=yes'" "'--output=logs/%A_%a.log'" "'--partition=fast'" \
+    "'a scan.nvdb' 'low.obj' '-o' 'o'\\\\''<MAP>.exr' '--merge' '9'"; do
     holds "submitted: $line" grep -qF -- "$(printf '%b' "$line")" "$out"
 done
-command="bisque-slurm bake --tiles --dry-run" code=0
-"$slurm" bake --dry-run --tiles 3 -- s.nvdb low.obj -o 'o_<UDIM>.exr' >"$out" 2>"$err" || code=$?
-code 0
-[ "$(grep -c '^sbatch ' "$out")" -eq 4 ] && grep -qF "'--array=0-2'" "$out" &&
-    grep -qF " --merge --task \$SLURM_ARRAY_TASK_ID" "$out" && grep -qF "'--dependency=afterok:<bisque-tile>'" "$out"
-check "tiles are merged in an array, before the last job" $?
 # The printed commands give sbatch the same script as a submission does.
 mkdir fake
 printf '#!/bin/sh\ncat >>"scripts.$RUN"\necho 7\n' >fake/sbatch
@@ -562,18 +400,21 @@ RUN=submitted PATH=$PWD/fake:$PATH "$slurm" bake -- s.nvdb low.obj -o o.exr >"$o
 code 0
 same scripts.printed scripts.submitted
 rm scripts.printed
-# Several tasks in an element of the array, also if there were too many elements otherwise.
-for tasks in "--tasks 10 --chunk 4" "--tasks 2500"; do
-    command="bisque-slurm bake $tasks --dry-run | sh" code=0
-    "$slurm" bake --dry-run --at-most 5 $tasks -- s.nvdb low.obj -o o.exr | RUN=printed PATH=$PWD/fake:$PATH sh >"$out" 2>"$err"
-    sed -n '/^first=/,/--task/p' scripts.printed | sed "s/^ 'bisque-bake'.*--task \(.*\) ||.*/echo \1/" >numbers
-    ends=$(for element in 0 1 2 833; do SLURM_ARRAY_TASK_ID=$element sh numbers; done | tr '\n' ' ')
-    case $tasks in
-    *chunk*) [ "${ends%% 3332*}" = "0-3 4-7 8-9" ] ;;
-    *) [ "$ends" = "0-2 3-5 6-8 2499-2499 " ] ;;
+# Several parts in an element of the array, also if there were too many elements otherwise.
+printf '#!/bin/sh\nwhile [ $# -gt 1 ]; do shift; done\necho "$1"\n' >fake/bisque-bake
+chmod +x fake/bisque-bake
+for parts in "--parts 10 --chunk 4" "--parts 2500"; do
+    command="bisque-slurm bake $parts --dry-run | sh" code=0
+    # shellcheck disable=SC2086 # several words
+    "$slurm" bake --dry-run --at-most 5 $parts -- s.nvdb low.obj -o o.exr | RUN=printed PATH=$PWD/fake:$PATH sh >"$out" 2>"$err"
+    sed -n '/^bake_parts() {/,/^exit/p' scripts.printed >first
+    baked=$(for element in 0 2 833; do code=0 SLURM_ARRAY_TASK_ID=$element PATH=$PWD/fake:$PATH sh first; done | tr '\n' ' ')
+    case $parts in
+    *chunk*) [ "$baked" = "1/10 2/10 3/10 4/10 9/10 10/10 " ] ;;
+    *) [ "$baked" = "1/2500 2/2500 3/2500 7/2500 8/2500 9/2500 2500/2500 " ] ;;
     esac
-    check "elements bake several tasks: $tasks" $?
-    rm scripts.printed numbers
+    check "elements bake several parts: $parts" $?
+    rm scripts.printed first
 done
 rm -r fake scripts.*
 printf 'a.obj\tl.obj\to_<MAP>.exr\n' >list
@@ -586,18 +427,18 @@ grep -qF "grid=\$scan.nvdb" "$out" # so body.obj and body.ply have two grids
 check "grids have the whole names of their scans" $?
 printf 'p/a 1.ply\np/b.ply.zst\nc' >list # without an end of its last line
 command="bisque-slurm parts --dry-run" code=0
-"$slurm" parts --dry-run --tasks 2 list -- low.obj -o 'o_<MAP>.exr' >"$out" 2>"$err" || code=$?
+"$slurm" parts --dry-run --parts 2 list -- low.obj -o 'o_<MAP>.exr' >"$out" 2>"$err" || code=$?
 code 0
-[ "$(grep -c '^sbatch ' "$out")" -eq 5 ] && grep -qF "'--array=0-2'" "$out" &&
+[ "$(grep -c '^sbatch ' "$out")" -eq 4 ] && grep -qF "'--array=0-2'" "$out" &&
     grep -qF " 'p/a 1.tris' 'p/b.ply.tris' 'c.tris' ||" "$out" &&
     grep -qF "'--dependency=afterok:<bisque-sort>' '--kill-on-invalid-dep=yes'" "$out" &&
     grep -qF "'--dependency=afterok:<bisque-grid>' '--kill-on-invalid-dep=yes'" "$out" &&
-    grep -qF "'bisque-bake' 'plan.nvdb' 'low.obj'" "$out"
+    grep -qF "'bisque-bake' 'scan.nvdb' 'low.obj'" "$out"
 check "parts are sorted, voxelized together and baked" $?
 printf 'a.ply\na.obj\n' >twice
 printf 'a.ply\n\nb.ply\n' >gap
 : >empty
-for bad in "" "bake --tasks 0 -- a b -o c" "bake --tasks 5" "bake --chunk 0 -- a b -o c" "bake --what" assets "render" \
+for bad in "" "bake --parts 0 -- a b -o c" "bake --parts 5" "bake --chunk 0 -- a b -o c" "bake --what" assets "render" \
     "parts twice -- l -o o" "parts gap -- l -o o" "parts empty -- l -o o" "parts none -- l -o o" "parts list" "assets none"; do
     command="bisque-slurm $bad" code=0
     # shellcheck disable=SC2086 # $bad is several words
@@ -606,20 +447,19 @@ for bad in "" "bake --tasks 0 -- a b -o c" "bake --tasks 5" "bake --chunk 0 -- a
 done
 rm list twice gap empty
 
-# ---- Open Job Description: templates for a plan; tests/farm/ runs them ----
+# ---- Open Job Description: templates; tests/farm/ runs them ----
 
 openjd=$top/tools/farm/bisque-openjd
 command="bisque-openjd" code=0
-"$openjd" bake --plan farm/plan.json --bin "$BIN" --chunk 2 --cpus 8 --gpu >"$out" 2>"$err" || code=$?
+"$openjd" parts --parts 3 --chunk 2 --cpus 8 --gpu >"$out" 2>"$err" || code=$?
 code 0
-for line in 'extensions: [TASK_CHUNKING]' '    default: 2' '          type: CHUNK[INT]' \
+for line in 'extensions: [TASK_CHUNKING]' '    default: 3' '          type: CHUNK[INT]' \
     '          chunks: {defaultTaskCount: 2, rangeConstraint: CONTIGUOUS}' '        - {name: amount.worker.vcpu, min: 8}' \
     '        - {name: amount.worker.gpu, min: 1}'; do
     holds "the template has \"$line\"" grep -qxF -- "$line" "$out"
 done
-memory=$("$BIN/bisque-bake" --plan farm/plan.json --json | jq '.task_memory_bytes / 1048576 | ceil')
-[ "$(grep -c "amount.worker.memory, min: $memory}" "$out")" -eq 3 ]
-check "tasks and merges ask for the plan's memory" $?
+[ "$(grep -c 'CHUNK\[INT\]' "$out")" -eq 1 ]
+check "parts of scans have chunks, those of bakes have not" $?
 for template in asset parts assets bake; do # without options, it is the template itself
     "$openjd" $template | cmp -s - "$top/tools/farm/$template.openjd.yaml"
     check "bisque-openjd $template" $?
@@ -627,72 +467,60 @@ for template in asset parts assets bake; do # without options, it is the templat
     grep -qxF '        - {name: amount.worker.gpu, min: 1}' text && grep -qxF '        - {name: amount.worker.disk.scratch, min: 7}' text
     check "bisque-openjd $template --gpu --scratch 7" $?
 done
-for bad in "" "asset parts" what "asset --chunk 0" "asset --cpus" "asset --memory 1G" "assets --plan farm/plan.json" "--what asset"; do
+for bad in "" "asset parts" what "asset --chunk 0" "asset --cpus" "asset --memory 1G" "assets --parts 2" "bake --chunk 2" "asset --parts x" "--what asset"; do
     command="bisque-openjd $bad" code=0
     # shellcheck disable=SC2086 # $bad is several words
     "$openjd" $bad >"$out" 2>"$err" || code=$?
     refused_like 64 '^bisque-openjd: '
 done
 
-# ---- other devices than the plan's ----
+# ---- other devices ----
 
-# The plan is made without a GPU. One task has one, which tests/fake/fake_cuda.c simulates, and the others have not.
-rm -rf farm color.*.exr
-mkdir farm
-ok $bake scan.nvdb low.obj $size -o '<MAP>.<UDIM>.exr' --maps color --device cpu
-ok $bake scan.nvdb low.obj $size -o 'farm/<MAP>.<UDIM>.exr' --maps color --device cuda --tasks 3 --plan farm/plan.json
-LD_LIBRARY_PATH=$TESTS/fake $bake --plan farm/plan.json --task 0 --json
+# One part has a GPU, which tests/fake/fake_cuda.c simulates, and the others have not.
+rm -rf farm one
+mkdir farm one
+ok $bake scan.nvdb low.obj $size -o 'one/<MAP>.<UDIM>.exr' --maps color --device cpu
+color="scan.nvdb low.obj $size -o farm/<MAP>.<UDIM>.exr --maps color"
+LD_LIBRARY_PATH=$TESTS/fake $bake $color --part 1/3 --device cuda --json
 json '.device == "Fake GPU 0 (CUDA)"'
-$bake --plan farm/plan.json --task 1 --device cpu --json
-json '.device | startswith("cpu")'
-$bake --plan farm/plan.json --task 2 --device opencl:99
+$bake $color --part 2/3 --device opencl:99
 code 69
-ok $bake --plan farm/plan.json --task 2 --device auto
-ok $bake --plan farm/plan.json --merge
-for map in color.*.exr; do
-    same "$map" "farm/$map"
-done
-for step in --merge ""; do
-    $bake --plan farm/plan.json $step --device cpu
-    refused 64 "$p --plan has the device of the tasks: give --device to --task only"
+ok $bake $color --part 2/3 --device cpu --json
+json '.device | startswith("cpu")'
+ok $bake $color --part 3/3 --device auto
+ok $bake $color --merge 3
+for map in color.1002.exr color.1012.exr; do
+    same one/$map farm/$map
 done
 
 # ---- killed, interrupted, twice at once ----
 
 if ldd "$BIN/bisque-bake" | grep -q 'lib[at]san'; then
-    skip "tasks that are killed" "sanitizers want to be loaded first"
+    skip "parts that are killed" "sanitizers want to be loaded first"
     finish
     exit
 fi
 
-run $plan --force # not with --tasks
-code 64
-ok run $plan
-begin_faults bisque-bake
+begin_faults
 killed_at open write sync name
 rm -f $part
-command="bisque-bake --task 2 interrupted" code=0
-faulty_task write TERM 0 || code=$?
+command="bisque-bake --part 2/3 interrupted" code=0
+faulty_part write TERM 0 || code=$?
 refused 75 "$p interrupted"
-holds "an interrupted task leaves no part" [ ! -e $part ]
-
-second='"$faulted" --plan farm/plan.json --task 2 >"$work/second"'
-twice "the same task completes meanwhile" "$second"
-# On a machine where locks of other machines do not hold, the second removes the first one's file.
-twice "its temporary file is removed meanwhile" 'rm farm/.plan.0002.part.*.tmp'
-twice "both" "rm farm/.plan.0002.part.*.tmp; $second"
+holds "an interrupted part leaves no file" [ ! -e $part ]
+twice "the same part completes meanwhile" '"$BIN/bisque-bake" $whole --part 2/3 >"$work/second"'
 no_temporary_files
 
 # ---- NFS that has neither files without a name nor flock ----
 
-rm -rf farm color.*.exr
+rm -rf farm
 mkdir farm
-ok $bake scan.nvdb low.obj $size -o '<MAP>.<UDIM>.exr' --maps color
-plainly "$BIN/bisque-bake" scan.nvdb low.obj $size -o 'farm/<MAP>.<UDIM>.exr' --maps color --tasks 2 --plan farm/plan.json
-plainly "$BIN/bisque-bake" --plan farm/plan.json --task 0-1
-plainly "$BIN/bisque-bake" --plan farm/plan.json --merge
-for map in color.*.exr; do
-    same "$map" "farm/$map"
+for step in "--part 1/2" "--part 2/2" "--merge 2"; do
+    # shellcheck disable=SC2086 # several words
+    plainly "$BIN/bisque-bake" $color $step
+done
+for map in color.1002.exr color.1012.exr; do
+    same one/$map farm/$map
 done
 no_temporary_files
 
@@ -728,11 +556,12 @@ if [ -n "${LONG-}" ]; then
         holds "$scan is large" [ "$(wc -c <one/$scan)" -gt 67108864 ]
         holds "both have one size" [ "$(wc -c <one/$scan)" -eq "$(wc -c <other/$scan)" ]
         cp one/$scan $scan
-        ok $bake $scan flat.obj --maps color --size 300 --front 2 --back 2 -o farm/c.exr --tasks 2 --plan farm/plan.json
-        ok $bake --plan farm/plan.json --task 0
+        flat="$scan flat.obj --low normals=angle --maps color --size 300 --front 2 --back 2 -o farm/c.exr"
+        ok $bake $flat --part 1/2
         cp other/$scan $scan
-        $bake --plan farm/plan.json --task 1
-        refused_like 65 "^$p $scan: the scan is not the file that the plan farm/plan.json was made with: make a new plan$"
+        ok $bake $flat --part 2/2
+        $bake $flat --merge 2
+        refused_like 65 "^$p farm/c\.part-1-of-2\.exr: a part of a bake with other inputs$again"
         rm -f farm/* $scan
     done
 fi

@@ -249,13 +249,9 @@ for shape in head statue torus cube; do
 done
 mesh low.obj sheet 8
 open sheet low.obj 100
-ok $bake sheet.tris low.obj -o o.png --maps thickness --rays thickness=1 --tasks 2 --plan plan.json
-grep -q 'thickness: 100 % of the rays' "$err"
-check "a plan tells of an open scan" $?
-ok run bisque-bake --plan plan.json --task 0-1
-ok run bisque-bake --plan plan.json --merge
-[ ! -s "$err" ] && grep -q 'no ray reached was not counted: bakes in tasks do not' "$out"
-check "and a merge says that it does not know what was not reached" $?
+in_parts 2 $bake sheet.tris low.obj -o o.png --maps thickness --rays thickness=1
+grep -q 'thickness: 100 % of the rays' "$err" && grep -q 'no ray reached was not counted: bakes in parts do not' "$out"
+check "a merge tells of an open scan, and that it does not know what was not reached" $?
 
 # ---- voxels and texels ----
 

@@ -79,8 +79,6 @@ $bake -o 'x_<MAP>.exr' --glb x.gltf
 refused 64 "$p x.gltf: its name must end in .glb"
 $bake -o x.exr --maps normal --glb x.exr
 code 64
-$bake -o 'x_<MAP>.exr' --glb x.glb --tasks 2 --plan x.json
-refused_like 64 "^$p x.glb: tasks do not make a GLB file$"
 $bake -o 'x_<MAP>.exr' --glb nowhere/x.glb
 code 73
 holds "nothing is left of what failed" [ -z "$(ls x* 2>/dev/null)" ]

@@ -69,12 +69,9 @@ PYTHON
         ok jumping bisque-voxelize --resolution 8 low.obj -o clock.nvdb --tris clock.tris
         same clock.nvdb scan.nvdb
         touch -d "@$(($(date +%s) + jump))" scan.nvdb
-        ok jumping bisque-bake --size 32 scan.nvdb low.obj -o 'two_<MAP>.exr' --maps normal,mask \
-            --tasks 2 --plan p.json
-        ok jumping bisque-bake --plan p.json --task 0-1
-        ok jumping bisque-bake --plan p.json --merge
+        in_parts 2 jumping bisque-bake --size 32 scan.nvdb low.obj -o 'two_<MAP>.exr' --maps normal,mask
         same two_normal.exr one_normal.exr
-        rm -f two_* p.* clock.*
+        rm -f two_* clock.*
     done
 fi
 
@@ -96,11 +93,9 @@ run bisque-compare "$name.obj" "$name.png"
 command="bisque-compare of names with line breaks"
 [ "$(wc -l <"$err")" -eq 1 ] && grep -Fq "$shown" "$err"
 check "one line" $?
-run bisque-bake scan.nvdb low.obj -o "$name.exr" --maps mask --size 32 --tasks 1 --plan "$name.json"
-command="bisque-bake writes a plan"
+run bisque-bake scan.nvdb low.obj -o "$name.exr" --maps mask --size 32 --part 1/1
+command="bisque-bake bakes a part"
 code 0
-run bisque-bake --plan "$name.json" --task 0
-command="bisque-bake does a task"
-[ "$(head -n 1 "$out" | grep -Fc "$shown.0000.part: task 0")" -eq 1 ]
-check "a task's report is one line" $?
+[ "$(head -n 1 "$out" | grep -Fc "$shown.exr: part 1/1")" -eq 1 ]
+check "a part's report is one line" $?
 finish

@@ -94,17 +94,13 @@ few_differ parts.png material_nvdb.png 0.5
 $vox right.tris object.tris -o x.nvdb --channels id
 refused 65 "bisque-voxelize: object.tris has ids by object, right.tris by material: make both with one --id"
 
-# ---- tasks ----
+# ---- parts ----
 
 for scan in tris nvdb; do
-    ok $bake material.$scan low.obj -o 'tasks_<MAP>.png' --maps id,normal --tasks 2 --plan plan.json
-    for task in 1 0; do
-        ok run bisque-bake --plan plan.json --task $task
-    done
-    ok run bisque-bake --plan plan.json --merge --json
+    in_parts 2 $bake material.$scan low.obj -o 'tasks_<MAP>.png' --maps id,normal --json
     json '[.ids.names[].name] == ["", "brick wall", "gläs", "stone"]'
     same tasks_id.png material_$scan.png
-    rm plan.json* tasks*
+    rm tasks*
 done
 
 # ---- devices, threads, budgets ----

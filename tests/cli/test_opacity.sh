@@ -28,13 +28,10 @@ ok run bisque-voxelize --verify plane.tris
 oracle measure plane.tris
 holds "another reader finds alpha in plane.tris" grep -q 'component 3' "$out"
 
-# A mask from tasks has the same bytes.
-ok $bake plane.tris low.obj --maps color,mask:opacity -o 'task_<MAP>.png' --tasks 2 --plan plan.json
-for part in '--task 0-1' --merge; do
-    ok run bisque-bake --plan plan.json $part
-done
+# A mask from parts has the same bytes.
+in_parts 2 $bake plane.tris low.obj --maps color,mask:opacity -o 'task_<MAP>.png'
 cmp -s tris_mask.png task_mask.png && [ ! -e task_opacity.png ]
-check "tasks give the same mask" $?
+check "parts give the same mask" $?
 
 # ---- materials ----
 

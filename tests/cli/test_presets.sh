@@ -48,10 +48,7 @@ ok $bake scan.nvdb low.obj --pack x=mask,0,1-roughness --pack y=1,ao -o 'packed_
 packed packed_x.png mask 0 1-roughness
 packed packed_y.png 1 ao 0
 holds "without --maps, the default maps are baked too" [ -e packed_normal.png ]
-ok $bake scan.nvdb low.obj --pack orm=ao,roughness,metallic --maps mask -o 'task_<MAP>.png' --type 16 \
-    --tasks 3 --plan p.json
-ok run bisque-bake --plan p.json --task 0-2
-ok run bisque-bake --plan p.json --merge
+in_parts 3 $bake scan.nvdb low.obj --pack orm=ao,roughness,metallic --maps mask -o 'task_<MAP>.png' --type 16
 ok $bake scan.nvdb low.obj --pack orm=ao,roughness,metallic --maps mask -o 'packed_<MAP>.png' --type 16
 same task_orm.png packed_orm.png
 ok $bake scan.nvdb low.obj --pack m=metallic,ao,0,1-roughness -o 'packed_<MAP>.exr'

@@ -34,13 +34,10 @@ holds "bisque-voxelize adds the image to a chunk file alike" cmp -s later.nvdb p
 ok $vox later.tris --channels coat -o without.nvdb
 holds "without the image there is none" cmp -s without.nvdb plain.nvdb
 
-# ---- tasks ----
+# ---- parts ----
 
-ok $bake later.tris low.obj --scan-normal-map tilt.png --tasks 2 --plan n.json -o n_tasks.png
-for part in '--task 0-1' --merge; do
-    ok run bisque-bake --plan n.json $part
-done
-holds "tasks give the bytes of normals with the scan's map" cmp -s n_plane_tris.png n_tasks.png
+in_parts 2 $bake later.tris low.obj --scan-normal-map tilt.png -o n_tasks.png
+holds "parts give the bytes of normals with the scan's map" cmp -s n_plane_tris.png n_tasks.png
 
 # ---- materials ----
 

@@ -292,12 +292,9 @@ for how in '--threads 1' '--memory 100M'; do
     done
 done
 holds "maps have the same bytes with other options of the work" [ ! -e differ ]
-ok $bake plane.tris low.obj --maps color,$four $textures -o 'p_<MAP>.png' --tasks 2 --plan plan.json
-for step in '--task 0' '--task 1' '--merge'; do
-    ok run bisque-bake --plan plan.json $step
-done
+in_parts 2 $bake plane.tris low.obj --maps color,$four $textures -o 'p_<MAP>.png'
 for map in color roughness metallic emission coat; do
-    holds "tasks give the bytes of $map" cmp -s t_$map.png p_$map.png
+    holds "parts give the bytes of $map" cmp -s t_$map.png p_$map.png
 done
 
 # ---- what is refused ----

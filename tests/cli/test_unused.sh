@@ -82,11 +82,4 @@ unused "a map other than mask" --padding 3 -- --maps mask,height -o '<MAP>.png'
 bake --maps mask --distance ao=1 --ao falloff=linear -o map.exr
 code 0
 holds "both options of ao" [ "$(grep -c "has no effect: it needs the map ao or bent" "$err")" -eq 2 ]
-
-# A plan warns when it is written, and its tasks do not.
-bake --maps mask --rays ao=2 -o map.exr --tasks 1 --plan plan.json
-code 0
-holds "a warning of the plan" grep -q "warning: --rays ao has no effect" "$err"
-ok run bisque-bake --plan plan.json --task 0 --progress none
-holds "none of the task" [ ! -s "$err" ]
 finish

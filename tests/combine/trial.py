@@ -9,7 +9,7 @@ import options
 
 # Options that a trial sets itself, and those that do something else than a bake or a grid.
 OWN = {
-    "bisque-bake": "output device tasks write-plan plan task merge merge-tile force list memory threads help version",
+    "bisque-bake": "output device part merge list memory threads help version",
     "bisque-voxelize": "output tris parse-only info verify memory threads help version",
     "bisque-simplify": "output memory threads help version",
     "bisque-compare": "memory threads help version",

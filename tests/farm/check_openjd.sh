@@ -22,7 +22,8 @@ rises()
 
 for template in asset parts assets bake; do
     command="bisque-openjd $template" code=0
-    "$farm/bisque-openjd" $template --chunk 3 --cpus 2 --memory 700 --scratch 3 --gpu >$template.chunks.yaml 2>"$err" || code=$?
+    case $template in parts | assets) chunk="--chunk 3" ;; *) chunk= ;; esac
+    "$farm/bisque-openjd" $template $chunk --cpus 2 --memory 700 --scratch 3 --gpu >$template.chunks.yaml 2>"$err" || code=$?
     code 0
     grep -q 'amount.worker.vcpu, min: 2}' $template.chunks.yaml && grep -q 'amount.worker.memory, min: 700}' $template.chunks.yaml
     check "host requirements of $template" $?
@@ -40,48 +41,44 @@ code 0
 run bisque-bake scan.nvdb low.obj -o 'map_<MAP>.<UDIM>.exr' $options
 code 0
 openjd run "$farm/asset.openjd.yaml" --step Merge --run-dependencies -p Scan=scan.obj -p Low=low.obj -p OutputDir=maps \
-    -p LastTask=4 -p Resolution=128 -p BakeOptions="$options" -p BinDir="$BIN"
+    -p Parts=5 -p Resolution=128 -p BakeOptions="$options" -p BinDir="$BIN"
 grep -q 'openjd_progress: 100' "$out" && grep -q 'openjd_status: tracing' "$out"
 check "openjd shows the progress" $?
 for map in normal height color; do
     same map_$map.1001.exr maps/map_$map.1001.exr
 done
 same scan.nvdb maps/scan.nvdb
-holds "there are five parts" [ "$(ls maps/*.part | wc -l)" -eq 5 ]
+holds "there are five parts" [ "$(ls maps/*part-*-of-5* | wc -l)" -eq 5 ]
 
-# One task again, and a scan that lies elsewhere on this machine.
-rm maps/plan.0003.part maps/map_*
-openjd run "$farm/asset.openjd.yaml" --step Bake -tp Task=3 -p Scan=scan.obj -p Low=low.obj -p OutputDir=maps -p LastTask=4 \
-    -p BinDir="$BIN"
-openjd run "$farm/asset.openjd.yaml" --step Merge -p Scan=scan.obj -p Low=low.obj -p OutputDir=maps -p LastTask=4 \
-    -p BinDir="$BIN"
+# One part again, and a scan that lies elsewhere on this machine.
+rm maps/map_*part-4* maps/map_[!p]*
+for step in "Bake -tp Part=4" Merge; do
+    # shellcheck disable=SC2086 # several words
+    openjd run "$farm/asset.openjd.yaml" --step $step -p Scan=scan.obj -p Low=low.obj -p OutputDir=maps -p Parts=5 \
+        -p BakeOptions="$options" -p BinDir="$BIN"
+done
 same map_height.1001.exr maps/map_height.1001.exr
 openjd run "$farm/asset.openjd.yaml" --step Merge --run-dependencies -p Scan=/mnt/studio/scan.obj -p Low=/mnt/studio/low.obj \
-    -p OutputDir=other -p LastTask=1 -p Resolution=128 -p BakeOptions="$options" -p BinDir="$BIN" --path-mapping-rules \
+    -p OutputDir=other -p Parts=2 -p Resolution=128 -p BakeOptions="$options" -p BinDir="$BIN" --path-mapping-rules \
     "{\"version\": \"pathmapping-1.0\", \"path_mapping_rules\": [{\"source_path_format\": \"POSIX\",
     \"source_path\": \"/mnt/studio\", \"destination_path\": \"$PWD\"}]}"
 same map_normal.1001.exr other/map_normal.1001.exr
 
-# A plan that is there, in chunks of three tasks, and without this extension.
-mkdir planned
-run bisque-bake scan.nvdb low.obj -o 'planned/map_<MAP>.<UDIM>.exr' $options --tasks 7 --plan "a plan.json"
-code 0
-for chunk in "" "--chunk 3"; do
-    rm -f "a plan".*.part "a plan.json.merged" planned/*
-    command="bisque-openjd bake $chunk" code=0
-    "$farm/bisque-openjd" bake --plan "a plan.json" --bin "$BIN" $chunk >bake.yaml 2>"$err" || code=$?
-    code 0
-    openjd run bake.yaml --step Merge --run-dependencies -p PlanDir=. -p BinDir="$BIN"
-    if [ -n "$chunk" ]; then
-        grep -q 'Task(CHUNK\[INT\]) = 0-' "$out" && grep -q 'Task(CHUNK\[INT\]) = .*6$' "$out"
-    else
-        grep -q 'Task(INT) = 6$' "$out"
-    fi
-    check "all tasks of the plan run, $chunk" $?
-    for map in normal height color; do
-        same map_$map.1001.exr planned/map_$map.1001.exr
-    done
+# A bake alone. Names with quotes, blanks and commands are names.
+odd="a \$(touch harm)'\"; touch harm; '"
+mkdir "$odd"
+cp scan.nvdb "$odd/scan.nvdb"
+openjd run "$farm/bake.openjd.yaml" --step Merge --run-dependencies -p Scan="$odd/scan.nvdb" -p Low=low.obj -p OutputDir="$odd" \
+    -p OutputName="it's_<MAP>.exr" -p Parts=7 -p BakeOptions="$options" -p BinDir="$BIN"
+grep -q 'Part(INT) = 7$' "$out"
+check "all parts run" $?
+for map in normal height color; do
+    same map_$map.1001.exr "$odd/it's_$map.exr"
 done
+"$openjd" run "$farm/asset.openjd.yaml" --step Voxelize -p Scan=scan.obj -p Low=low.obj -p OutputDir="$odd" -p Resolution=16 \
+    -p Scale='2$(touch harm)' -p VoxelizeOptions='--up z;touch${IFS}harm' -p BinDir="$BIN" >"$out" 2>"$err"
+holds "they are refused as options" grep -q 'bisque-voxelize: .*touch' "$out"
+holds "no command of a parameter ran" [ -z "$(find . -name harm)" ]
 
 # A task that fails says why.
 command="openjd run of a missing scan" code=0
@@ -121,7 +118,7 @@ voxelize_parts 128
 run bisque-bake parts.nvdb low.obj -o 'part_<MAP>.<UDIM>.exr' $options
 code 0
 openjd run parts.chunks.yaml --step Compare --run-dependencies -p Root=. -p List=parts.txt -p LastPart=7 -p Low=low.obj \
-    -p OutputDir=parts -p LastTask=4 -p Resolution=128 -p BakeOptions="$options" -p BinDir="$BIN"
+    -p OutputDir=parts -p Parts=5 -p Resolution=128 -p BakeOptions="$options" -p BinDir="$BIN"
 holds "there are eight chunk files" [ "$(ls parts/*.tris | wc -l)" -eq 8 ]
 same parts.nvdb parts/scan.nvdb
 for map in normal height color; do

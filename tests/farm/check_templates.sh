@@ -38,7 +38,7 @@ while read -r word; do
     set -- "$@" "$word"
 done <values
 # The last value counts: small ones for a test.
-words "$openjd" run "$farm/deadline/template.yaml" --step Merge --run-dependencies "$@" -p LastTask=3 -p Resolution=128 \
+words "$openjd" run "$farm/deadline/template.yaml" --step Merge --run-dependencies "$@" -p Parts=4 -p Resolution=128 \
     -p BakeOptions="$options"
 for map in normal height; do
     for tile in 1001 1002; do

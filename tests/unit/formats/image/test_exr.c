@@ -418,4 +418,79 @@ CONTEXT_TEST(test_excessive_headers, 1, UINT64_C(8) << 20)
     }
 }
 
+/* ---- a part of an image, with named channels ---- */
+
+enum { PART_WIDTH = 23, PART_HEIGHT = 21, PART_CHANNELS = 5, PART_SIDE = 16 };
+static const char *const names[PART_CHANNELS] = {"share", "normal.x", "normal.y", "z", "a.0"};
+
+static void write_part(struct bsq_ctx *ctx, uint32_t height, const float *samples)
+{
+    const struct fmt_image_options options = {.width = PART_WIDTH,
+                                              .height = height,
+                                              .channel_count = PART_CHANNELS,
+                                              .channels = names,
+                                              .x = 32,
+                                              .y = 16,
+                                              .full_width = 100,
+                                              .full_height = 60,
+                                              .type = FMT_FLOAT,
+                                              .tile_side = PART_SIDE};
+    struct fmt_image_writer *writer;
+    assert_int_equal(fmt_image_create(ctx, &fmt_exr_format, path, &options, &writer), 0);
+    assert_int_equal(fmt_image_write_rows(writer, samples, height), 0);
+    assert_int_equal(test_commit_image(writer), 0);
+}
+
+/* Compares a tile with the samples that were written. */
+static void expect_tile(struct fmt_exr_rows *rows, uint32_t column, uint32_t row, uint32_t height,
+                        const float *samples)
+{
+    const float *texels;
+    assert_int_equal(fmt_exr_tile_read(rows, column, row, &texels), 0);
+    for (uint32_t y = 0; y < PART_SIDE && row * PART_SIDE + y < height; y++)
+        for (uint32_t x = 0; x < PART_SIDE && column * PART_SIDE + x < PART_WIDTH; x++)
+            assert_memory_equal(
+                texels + ((size_t)y * PART_SIDE + x) * PART_CHANNELS,
+                samples + ((size_t)(row * PART_SIDE + y) * PART_WIDTH + column * PART_SIDE + x) *
+                              PART_CHANNELS,
+                PART_CHANNELS * sizeof *texels);
+}
+
+/* Tiles have the samples in the order of the names, also if the image is smaller than a tile. The
+ * whole file has them by name. */
+CONTEXT_TEST(test_named_channels_of_a_part, 2, 0)
+{
+    float *samples = random_samples(PART_WIDTH * PART_HEIGHT * PART_CHANNELS, 7);
+    for (uint32_t height = 5; height <= PART_HEIGHT; height += PART_HEIGHT - 5) {
+        struct fmt_exr_image image;
+        struct fmt_exr_rows *rows;
+        struct bsq_file file;
+        write_part(ctx, height, samples);
+        assert_int_equal(fmt_exr_read(ctx, path, &image), 0);
+        assert_int_equal(image.x, 32);
+        assert_int_equal(image.y, 16);
+        assert_int_equal(image.width, PART_WIDTH);
+        assert_int_equal(image.height, height);
+        for (uint32_t c = 0; c < PART_CHANNELS; c++) {
+            const uint32_t at = fmt_exr_channel(&image, names[c]);
+            assert_true(at < PART_CHANNELS);
+            for (size_t i = 0; i < (size_t)PART_WIDTH * height; i++)
+                assert_true(image.samples[i * PART_CHANNELS + at] ==
+                            samples[i * PART_CHANNELS + c]);
+        }
+        fmt_exr_image_free(ctx, &image);
+        assert_int_equal(bsq_file_open_as(ctx, path, BSQ_OPEN_OTHER, &file), 0);
+        assert_int_equal(fmt_exr_tiles_open(ctx, path, &file, names, PART_CHANNELS, &rows), 0);
+        assert_int_equal(fmt_exr_tile_side(rows), PART_SIDE);
+        assert_int_equal(fmt_exr_rows_image(rows)->y, 16);
+        for (uint32_t i = 0; i < 2 * ((height - 1) / PART_SIDE + 1); i++)
+            expect_tile(rows, i % 2, i / 2, height, samples);
+        fmt_exr_rows_close(rows);
+        assert_int_equal(fmt_exr_tiles_open(ctx, path, &file, rgb, 3, &rows), BSQ_EDATA);
+        fmt_exr_rows_close(rows);
+        bsq_file_close(ctx, &file);
+    }
+    free(samples);
+}
+
 RUN_TESTS(NULL, NULL)
