@@ -1,12 +1,13 @@
 /* bake.cl - the kernel's entries on devices, as OpenCL C or CUDA. */
 #include "bk_sample.h"
 
-/* The arrays of a grid. `colors` begins with the linear values of the sRGB codes, as 256 floats. The
- * words of transfer maps follow (bk_grid.h), then colours, ids and further channels. nodes, blocks:
- * the tree around the leaves. An array that no map needs is missing. */
+/* The arrays of a grid. `colors` begins with the linear values of the sRGB codes, as 256 floats.
+ * The words of transfer maps follow (bk_grid.h), then colours, ids and further channels. nodes,
+ * blocks: the tree around the leaves. An array that no map needs is missing. */
 #define BK_GRID_ARRAYS                                                                             \
     const BK_GLOBAL bk_ulong *BK_RESTRICT tiles, const BK_GLOBAL bk_ulong *BK_RESTRICT uppers,     \
-        const BK_GLOBAL bk_ulong *BK_RESTRICT lowers, const BK_GLOBAL bk_ulong *BK_RESTRICT leaves, \
+        const BK_GLOBAL bk_ulong *BK_RESTRICT lowers,                                              \
+        const BK_GLOBAL bk_ulong *BK_RESTRICT leaves,                                              \
         const BK_GLOBAL bk_uint *BK_RESTRICT normals, const BK_GLOBAL bk_uint *BK_RESTRICT planes, \
         const BK_GLOBAL bk_uint *BK_RESTRICT colors, const BK_GLOBAL bk_uint *BK_RESTRICT seconds, \
         const BK_GLOBAL bk_ulong2 *BK_RESTRICT nodes, const BK_GLOBAL bk_ulong *BK_RESTRICT blocks
