@@ -151,7 +151,8 @@ static bool is_trailer_valid(const struct nvdb_trailer *trailer)
     if (!nvdb_has(expected.flags, NVDB_NAMES))
         expected.name_bytes = 0;
     expected.trailer_checksum = fmt_nvdb_trailer_checksum(&expected);
-    return memcmp(trailer, &expected, sizeof expected) == 0;
+    const unsigned char *found = (const unsigned char *)trailer; /* copied from the file as it is */
+    return memcmp(found, (const unsigned char *)&expected, sizeof expected) == 0;
 }
 
 static int read_trailer(struct head *h)

@@ -598,7 +598,7 @@ static int open_rows(struct bsq_ctx *ctx, const char *path, const struct bsq_fil
 {
     struct fmt_exr_rows *rows;
     int status = bsq_calloc(ctx, "an EXR decoder", 1, sizeof *rows, &rows);
-    *out = status == 0 ? rows : NULL;
+    *out = status < 0 ? NULL : rows;
     if (status < 0)
         return status;
     rows->reader = (struct reader){

@@ -18,7 +18,7 @@ out_like '^v_normal.exr against exact/v_normal.exr: mean 0\.[0-9]*, p99 [0-9.]*,
 ok $bake low1.obj --maps normal -o 'v_<MAP>.exr' --reference exact --json
 json '.comparisons | length == 1'
 mkdir merged
-in_parts 2 $bake low1.obj --maps normal -o 'merged/v_<MAP>.exr' --reference exact
+in_parts 2 $bake low1.obj --maps normal -o 'merged/v_<MAP>.exr' --reference exact --preview merged.png
 out_like '^merged/v_normal.exr against .*exact/v_normal.exr: mean 0\.[0-9]*, p99 '
 ok $bake low2.obj --maps normal,color -o 'w_<MAP>.<UDIM>.png' --report tiles.html
 ok $bake low1.obj --front 0.004 --back 0.004 --maps normal,color -o 'x_<MAP>.exr' --report misses.html
