@@ -3,9 +3,14 @@
 . "$(dirname "$0")/lib.sh"
 
 p=bisque-voxelize:
+if ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'; then
+    skip "interruptions at system calls" "sanitizers have to be loaded before faults.so"
+    finish
+    exit
+fi
 
-# stopped CALLS NUMBER ARGUMENT...: SIGTERM comes before this call of these kinds (tests/faults/faults.c).
-stopped()
+# stop_at CALLS NUMBER ARGUMENT...: SIGTERM comes before this call of these kinds (tests/faults/faults.c).
+stop_at()
 {
     calls=$1 number=$2
     shift 2
@@ -17,7 +22,7 @@ stopped()
 # The file of a grid gets its size when the chunk file is complete.
 interrupted_grid()
 {
-    stopped size 1 "$@"
+    stop_at size 1 "$@"
 }
 
 "$TESTS/generate-scan" --triangles 2000 --colors vase -o scan.obj
@@ -26,10 +31,10 @@ ok run bisque-voxelize scan.obj -o whole/scan.nvdb --resolution 32 --channels id
 
 # ---- before the chunk file is complete ----
 
-stopped sync 1 scan.obj -o scan.nvdb --resolution 32
+stop_at sync 1 scan.obj -o scan.nvdb --resolution 32
 refused 75 "$p interrupted"
 files scan.obj whole
-stopped sync 1 scan.obj -o scan.tris
+stop_at sync 1 scan.obj -o scan.tris
 refused 75 "$p interrupted"
 files scan.obj whole
 
