@@ -248,7 +248,7 @@ struct bake_options {
      * misses; this is for the caller. */
     double max_missed;
     bool strict;    /**< For the caller, too, who sets bsq_set_strict(). */
-    uint32_t parts; /**< The bake is divided into so many parts; 0: it is not, see bake_run(). */
+    uint32_t parts; /**< Number of parts that the bake is divided into; 0: none, see bake_run(). */
     uint32_t part;  /**< The one to bake, from 1 on; 0: all parts are merged. */
     /** One of BAKE_DEVICE_NAMES; NULL or "": "cpu" if it needs no longer than a GPU takes to open,
      * about half a second, else "auto". */

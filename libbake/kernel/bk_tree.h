@@ -107,7 +107,7 @@ BK_FN bk_int bk_tree_layer(bk_int corner, bk_int first, bk_int base, float start
 }
 
 /* Returns the t at which rays enter a block on an axis; -BK_FAR: their walks begin in its layers;
- * BK_FAR: behind them. */
+ * BK_FAR: they begin past the block. */
 BK_FN float bk_tree_entered(bk_int corner, bk_int first, bk_int base, float start, float inverse)
 {
     const bk_int up = bk_upwards(inverse);
