@@ -11,6 +11,19 @@
 
 #include "bk_visit.h"
 
+/* Returns by how many voxels borders of boxes on an axis may be off by rounding, for rays that
+ * start at `from`. low, high: the first and the last voxel of the tree on the axis. */
+BK_FN float bk_tree_margin(bk_int low, bk_int high, float from)
+{
+    const float a = (float)low, b = (float)(high + 1);
+    const float distance = bk_max(bk_abs(a - from), bk_abs(b - from));
+
+    /* Borders are at most `distance` away, and computed from a node's corner, which adds two sizes
+     * of the tree. The cap keeps margins below half of the 255 steps between the borders of a
+     * missing child, so no ray meets it. */
+    return bk_min(distance + 2.0f * (b - a) + 16.0f, 33554432.0f) * (1.0f / 2097152.0f);
+}
+
 #if BK_WIDTH == 1
 
 /* A node in pairs of words of eight bytes: the corner and the first child, then the borders of each
@@ -37,19 +50,6 @@ typedef struct bk_tree_walk {
     bk_uint depth;                 /* of the stack */
     bk_ulong stack[BK_TREE_DEPTH]; /* of nodes: `node` << 8 | `children` */
 } bk_tree_walk;
-
-/* Returns the distances from the start of rays at which borders of boxes on an axis may be off by
- * rounding. */
-BK_FN float bk_tree_margin(bk_int low, bk_int high, float from)
-{
-    const float a = (float)low, b = (float)(high + 1);
-    const float distance = bk_max(bk_abs(a - from), bk_abs(b - from));
-
-    /* Borders are at most `distance` away, and computed from a node's corner, which adds two sizes
-     * of the tree. The cap keeps margins below part of the 255 steps between the borders of a
-     * missing child, so no ray meets it. */
-    return bk_min(distance + 2.0f * (b - a) + 16.0f, 33554432.0f) * (1.0f / 2097152.0f);
-}
 
 /* Starts a ray from a point. Without a way through the grid, it is over at once. */
 BK_FN void bk_tree_begin(const bk_params *params, const bk_rays *rays, const bk_viewpoint *from,

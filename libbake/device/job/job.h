@@ -1,7 +1,7 @@
 /* job.h - what a device traces: the grid, the low-poly mesh's triangles and the parameters.
  *
  * Takes an open grid file (formats/grid); gives the kernel's parameters and array pointers for it,
- * the arrays that a device with memory of its own takes, and its nodes. Every other folder of
+ * the arrays that a device with memory of its own takes. Every other folder of
  * device/ uses this one. */
 #ifndef BAKE_DEVICE_JOB_JOB_H
 #define BAKE_DEVICE_JOB_JOB_H

@@ -9,7 +9,7 @@
 
 #include "base/simd/simd.h"
 #include "libbake/grid_tree/leaf_tree.h"
-#include "libbake/kernel/bk_visit.h"
+#include "libbake/kernel/bk_tree.h"
 
 enum {
     BAKE_TREE_BUNDLE = 64, /* rays that go through the upper nodes together */

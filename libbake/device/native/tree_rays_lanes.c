@@ -387,14 +387,8 @@ static void trace_rays(struct bake_tree_tracer *tracer)
 static void find_margins(const struct bake_tree *tree, bk_vec3 start, float margins[3])
 {
     const float from[3] = {start.x, start.y, start.z};
-    for (int axis = 0; axis < 3; axis++) {
-        const float low = (float)tree->low[axis], high = (float)tree->high[axis];
-        const float distance = bk_max(fabsf(low - from[axis]), fabsf(high - from[axis]));
-        /* Borders are at most `distance` away, and computed from a node's corner, which adds two
-         * sizes of the tree. The cap keeps margins below half of the 255 steps between the borders
-         * of a missing child, so no ray meets it. */
-        margins[axis] = bk_min(distance + 2.0f * (high - low) + 16.0f, 1 << 25) / (1 << 21);
-    }
+    for (int axis = 0; axis < 3; axis++)
+        margins[axis] = bk_tree_margin(tree->low[axis], tree->high[axis] - 1, from[axis]);
 }
 
 /* Appends rays `first` and following ones of a point, at most BK_WIDTH. */

@@ -3,7 +3,6 @@
 #include "base/context.h"
 #include "libbake/device/job/job.h"
 #include "libbake/device/native/tree_rays.h"
-#include "libbake/kernel/bk_tree.h"
 #include "tests/unit/libbake/analytic_grid.h"
 #include "tests/unit/test.h"
 
