@@ -302,7 +302,8 @@ check-long: check
 	@LONG=1 BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
 	    $(patsubst %,tests/cli/test_%.sh,combine farm faults gltf_materials images \
 	    interrupt limits overwritten oracle reproducible) \
-	    $(BUILD)/tests/exhaustion/test_exhaustion $(BUILD)/tests/libvoxel/test_error
+	    tests/recipes/check_map.sh $(BUILD)/tests/exhaustion/test_exhaustion \
+	    $(BUILD)/tests/libvoxel/test_error
 
 # ---- quality ----
 sources_c := $(foreach l,$(libs),$(src.$(l))) $(src.helper) $(wildcard tools/*.c)
