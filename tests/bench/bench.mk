@@ -40,11 +40,6 @@ bench-blender: all $(generator) $(BUILD)/tests/measure
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/blender.sh
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/blender_job.sh $(BENCH)
 
-.PHONY: bench-farm
-## bench-farm: processor time of bakes in 1 to 64 parts beside that of a single run
-bench-farm: all $(generator)
-	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/farm.sh
-
 simplify_venv := build/simplify-venv
 $(simplify_venv)/ready: tests/bench/bench.mk
 	@python3 -m venv $(simplify_venv) && $(simplify_venv)/bin/pip install -q \
