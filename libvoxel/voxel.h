@@ -114,7 +114,7 @@ struct vox_sort_report {
     uint64_t skipped_lines;   /**< Lines with statements that the format does not define. */
     uint64_t chunks;          /**< Chunks in the chunk file. */
     uint64_t tris_bytes;      /**< Size of the chunk file. */
-    uint64_t temp_bytes;      /**< Bytes written to temporary files. */
+    uint64_t temp_bytes;      /**< Bytes that it wrote to temporary files. */
     double origin[3];         /**< Origin that stored positions are relative to. */
     bool has_normals;         /**< The scan has normals. */
     bool has_texcoords;       /**< The scan has texture coordinates. */
@@ -277,7 +277,7 @@ struct vox_simplify_report {
     uint64_t dropped_triangles;
     struct vox_simplified levels[VOX_LEVELS_MAX]; /**< The meshes. */
     uint32_t level_count;                         /**< Number of meshes. */
-    uint64_t temp_bytes;                          /**< Bytes written to temporary files. */
+    uint64_t temp_bytes;                          /**< Bytes that it wrote to temporary files. */
     double seconds_reduce;                        /**< Wall time of reducing chunks. */
     double seconds_collapse;                      /**< Wall time of the last collapse. */
     double seconds_measure;                       /**< Wall time of measuring. */

@@ -156,17 +156,16 @@ done:
 
 /* Sorts the meshes into a temporary chunk file. */
 static int sort_meshes(struct cli *cli, const struct arguments *arguments,
-                       struct vox_temp_tris *temp)
+                       struct vox_temp_tris *temp, struct vox_sort_report *report)
 {
     struct vox_sort_options options;
-    struct vox_sort_report report = {.size = sizeof report};
     vox_sort_defaults(&options);
     options.scan_paths = arguments->scans.meshes;
     options.scan_count = arguments->scans.mesh_count;
     options.tris_path = arguments->paths[0];
     options.temp_tris = temp;
     options.ids = arguments->simplify.keep_materials ? VOX_IDS_MATERIAL : VOX_IDS_NONE;
-    return vox_sort(cli->ctx, &options, &report);
+    return vox_sort(cli->ctx, &options, report);
 }
 
 /* ---- results ---- */
@@ -234,6 +233,7 @@ static int simplify_tool_run(struct cli *cli, struct arguments *arguments, const
                              uint32_t input_count)
 {
     struct vox_simplify_report report = {.size = sizeof report};
+    struct vox_sort_report sorted = {.size = sizeof sorted};
     struct vox_temp_tris *temp = NULL;
     int status = 0;
     BSQ_TRY(cli_create_context(cli));
@@ -241,10 +241,11 @@ static int simplify_tool_run(struct cli *cli, struct arguments *arguments, const
     BSQ_TRY(simplify_tool_recognise_inputs(cli, arguments, inputs, input_count));
     if (arguments->scans.mesh_count > 0) {
         BSQ_TRY(vox_temp_tris_create(cli->ctx, &temp));
-        BSQ_TRY(sort_meshes(cli, arguments, temp));
+        BSQ_TRY(sort_meshes(cli, arguments, temp, &sorted));
         arguments->simplify.temp_tris = temp;
     }
     BSQ_TRY(vox_simplify(cli->ctx, &arguments->simplify, &report));
+    report.temp_bytes += sorted.temp_bytes;
     warn_of_targets(cli, arguments, &report);
     if (cli->json)
         status = simplify_tool_print_json(cli, arguments, &report);

@@ -260,6 +260,7 @@ int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options
                  struct vox_simplify_report *report)
 {
     struct simplifying s = {.ctx = ctx, .options = options, .report = report};
+    const uint64_t temp_before = bsq_temp_bytes(ctx);
     int status = 0;
     BSQ_TRY(bsq_clear_report(ctx, "vox_simplify_report", report, sizeof *report));
     BSQ_TRY(bsq_check_size(ctx, "vox_simplify_options", options->size, sizeof *options));
@@ -272,7 +273,7 @@ int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options
     BSQ_TRY(drop_pieces(&s));
     BSQ_TRY(options->target_count > 0 ? simplify_to_targets(&s) : simplify_to_error(&s));
     status = bsq_output_group_commit(&s.outputs);
-    report->temp_bytes = bsq_temp_bytes(ctx);
+    report->temp_bytes = bsq_temp_bytes(ctx) - temp_before;
 done:
     bsq_output_group_discard(&s.outputs);
     vox_mesh_free(ctx, &s.mesh);

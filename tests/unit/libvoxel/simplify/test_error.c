@@ -19,11 +19,11 @@ static double random_number(uint64_t *state)
     return (double)(*state >> 40) / (double)(1 << 24);
 }
 
-/* Writes a rough sheet, bent into a tube or with a hole, as the seed says. */
-static void write_scan(uint64_t *seed)
+/* Writes a rough sheet of n x n squares, bent into a tube or with a hole, as the seed says. */
+static void write_scan(unsigned n, uint64_t *seed)
 {
-    const unsigned n = 4 + (unsigned)(random_number(seed) * (SIDE_MAX - 4));
-    const double rough = random_number(seed) * random_number(seed), bent = 6 * random_number(seed);
+    const double rough = random_number(seed) * random_number(seed) * fmin(1, SIDE_MAX / (double)n),
+                 bent = 6 * random_number(seed);
     const bool hole = random_number(seed) < 0.3, closed = random_number(seed) < 0.3;
     FILE *file = fopen("scan.obj", "w");
     assert_non_null(file);
@@ -125,26 +125,33 @@ static double farthest(const struct mesh *from, const struct mesh *to)
     return sqrt(most);
 }
 
-static void try_mesh(uint64_t *seed)
+/* Writes a scan, sorts it, and gives the options that simplify it. */
+static void begin_simplifying(struct bsq_ctx *ctx, unsigned n, uint64_t *seed,
+                              struct vox_simplify_options *options)
 {
     static const char *const scans[] = {"scan.obj"}, *const tris[] = {"scan.tris"},
                              *const lows[] = {"low.obj"};
-    struct bsq_ctx *ctx = test_context(1, 0);
     struct vox_sort_options sort;
     struct vox_sort_report sorted = {.size = sizeof sorted};
-    struct vox_simplify_options options;
-    struct vox_simplify_report report = {.size = sizeof report};
-    struct mesh scan, low;
-    write_scan(seed);
+    write_scan(n, seed);
     vox_sort_defaults(&sort);
     sort.scan_paths = scans;
     sort.scan_count = 1;
     sort.tris_path = tris[0];
     assert_int_equal(vox_sort(ctx, &sort, &sorted), 0);
-    vox_simplify_defaults(&options);
-    options.tris_paths = tris;
-    options.tris_count = 1;
-    options.output_paths = lows;
+    vox_simplify_defaults(options);
+    options->tris_paths = tris;
+    options->tris_count = 1;
+    options->output_paths = lows;
+}
+
+static void try_mesh(uint64_t *seed)
+{
+    struct bsq_ctx *ctx = test_context(1, 0);
+    struct vox_simplify_options options;
+    struct vox_simplify_report report = {.size = sizeof report};
+    struct mesh scan, low;
+    begin_simplifying(ctx, 4 + (unsigned)(random_number(seed) * (SIDE_MAX - 4)), seed, &options);
     options.error = 0.003 + 0.2 * random_number(seed) * random_number(seed);
     assert_int_equal(vox_simplify(ctx, &options, &report), 0);
     read_mesh("scan.obj", &scan);
@@ -167,6 +174,24 @@ TEST(errors_are_kept)
     const int meshes = getenv("LONG") ? MESHES_LONG : MESHES;
     for (int i = 0; i < meshes; i++)
         try_mesh(&seed);
+}
+
+/* Scans of more than 200,000 triangles are reduced in groups, which temporary files hold. */
+TEST(each_call_counts_its_own_temporary_bytes)
+{
+    static const uint64_t targets[] = {30000};
+    uint64_t seed = 1;
+    struct bsq_ctx *ctx = test_context(1, 0);
+    struct vox_simplify_options options;
+    struct vox_simplify_report first = {.size = sizeof first}, second = {.size = sizeof second};
+    begin_simplifying(ctx, 320, &seed, &options);
+    options.targets = targets;
+    options.target_count = 1;
+    assert_int_equal(vox_simplify(ctx, &options, &first), 0);
+    assert_int_equal(vox_simplify(ctx, &options, &second), 0);
+    assert_true(first.temp_bytes > 0);
+    assert_int_equal(second.temp_bytes, first.temp_bytes);
+    test_context_end(ctx);
 }
 
 RUN_TESTS(NULL, NULL)
