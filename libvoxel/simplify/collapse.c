@@ -46,6 +46,7 @@ struct around {
 struct collapse {
     struct vox_rings rings;
     uint32_t target;
+    double unit; /* factor of costs: a power of two that lets floats hold them at any scale */
     struct around *around; /* of vertices */
     uint32_t *stamps;      /* of vertices: grow with each change */
     float *drifts;         /* of vertices: the way that the surface there has gone, added up */
@@ -229,6 +230,7 @@ static bool evaluate(struct collapse *c, uint32_t u, uint32_t v, struct result *
     out->cost = bsq_dotd(x, ax) + 2 * bsq_dotd(q.b, x) + q.c;
     out->cost = out->cost > 0 ? out->cost : 0;
     out->cost += length_share * (q.a[0] + q.a[3] + q.a[5]) * square;
+    out->cost *= c->unit;
     return isfinite(out->cost) && isfinite(out->position[0] + out->position[1] + out->position[2]);
 }
 
@@ -474,7 +476,7 @@ static void collapse_next(struct collapse *c)
         return;
     const float drift = find_drift(c, u, v, result.position);
     const double square = (double)drift * (double)drift;
-    result.cost += drift_weight * square * square * square;
+    result.cost += c->unit * drift_weight * square * square * square;
     if (result.cost > (double)cost * grown && (float)result.cost > cost) {
         push_edge(c, u, v, result.cost);
         return;
@@ -521,12 +523,27 @@ static int collapse_edges(struct collapse *c)
     return 0;
 }
 
+/* Returns the unit of costs, which have the dimension of the third power of an area. */
+static double find_unit(const struct vox_mesh *mesh)
+{
+    double area = 0;
+    int exponent;
+    for (uint32_t t = 0; t < mesh->triangle_count; t++) {
+        double normal[3];
+        vox_triangle_normal((const float(*)[3])mesh->positions, mesh->triangles[t], normal);
+        area += sqrt(bsq_dotd(normal, normal));
+    }
+    frexp(area / mesh->triangle_count, &exponent);
+    return ldexp(1, -3 * exponent);
+}
+
 int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh)
 {
     static const char what[] = "an edge collapse";
     const uint64_t vertices = mesh->vertex_count;
     struct collapse c = {.rings = {.ctx = ctx},
                          .target = target,
+                         .unit = find_unit(mesh),
                          /* twice the edges of a closed mesh */
                          .heap_capacity = 3 * (uint64_t)mesh->triangle_count + 16};
     int status = 0;

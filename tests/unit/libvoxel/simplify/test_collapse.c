@@ -146,6 +146,29 @@ TEST(tips_stay)
 }
 
 /* Most folds of the scan do not stay. */
+/* Costs grow with the sixth power of a length, and floats hold them. */
+TEST(scale_does_not_matter)
+{
+    static const int exponents[] = {-60, 60};
+    struct vox_mesh plain = make_grid(40, false, with_spike);
+    collapse(&plain, false, 300);
+    for (int i = 0; i < 2; i++) {
+        struct vox_mesh scaled = make_grid(40, false, with_spike);
+        for (uint32_t v = 0; v < scaled.vertex_count; v++)
+            for (int k = 0; k < 3; k++)
+                scaled.positions[v][k] = ldexpf(scaled.positions[v][k], exponents[i]);
+        assert_int_equal(vox_collapse(ctx, 300, &scaled), 0);
+        assert_int_equal(scaled.triangle_count, plain.triangle_count);
+        assert_memory_equal(scaled.triangles, plain.triangles,
+                            plain.triangle_count * sizeof *plain.triangles);
+        for (uint32_t v = 0; v < plain.vertex_count; v++)
+            for (int k = 0; k < 3; k++)
+                assert_true(scaled.positions[v][k] == ldexpf(plain.positions[v][k], exponents[i]));
+        vox_mesh_free(ctx, &scaled);
+    }
+    vox_mesh_free(ctx, &plain);
+}
+
 TEST(folds_go)
 {
     enum { N = 48 };
