@@ -36,6 +36,7 @@ enum { STEP_BYTES = 256 << 10, RING_BYTES = 128 << 20 };
 struct fmt_input {
     struct bsq_ctx *ctx;
     char *path, *beside; /* beside: NULL for "." */
+    bool named;          /* other files may be beside it */
     bool packed;
     const struct bsq_source *source; /* NULL: a file or a pipe */
     int pipe_fd;                     /* -1: a file, or a source */
@@ -246,6 +247,7 @@ static int input_create(struct bsq_ctx *ctx, const char *path, const char *besid
         input->size = input->file_size = source->bytes;
     else
         BSQ_TRY(pipes && fmt_input_is_pipe(path) ? open_pipe(input) : input_examine(input));
+    input->named = !source && !is_pipe(input);
     *out = input;
 done:
     if (status < 0)
@@ -275,13 +277,28 @@ static void end_use(struct fmt_input *input)
     bsq_file_close(input->ctx, &input->file);
 }
 
+/* Drops what was unpacked, and the end of a pipe. */
+static void end_all(struct fmt_input *input)
+{
+    end_use(input);
+    if (is_pipe(input))
+        close(input->pipe_fd);
+    input->pipe_fd = -1;
+}
+
+void fmt_input_replace(struct fmt_input *input, const struct bsq_source *source)
+{
+    end_all(input);
+    input->packed = false;
+    input->source = source;
+    input->size = input->file_size = source->bytes;
+}
+
 void fmt_input_free(struct fmt_input *input)
 {
     if (!input)
         return;
-    end_use(input);
-    if (is_pipe(input))
-        close(input->pipe_fd);
+    end_all(input);
     pthread_rwlock_destroy(&input->stored_lock);
     pthread_mutex_destroy(&input->lock);
     bsq_free(input->ctx, input->path);
@@ -296,7 +313,7 @@ const char *fmt_input_path(const struct fmt_input *input)
 
 const char *fmt_input_beside(const struct fmt_input *input)
 {
-    return is_pipe(input) || input->source ? "" : input->path;
+    return input->named ? input->path : "";
 }
 
 uint64_t fmt_input_size(const struct fmt_input *input)

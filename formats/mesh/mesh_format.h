@@ -7,8 +7,7 @@
  * that holds a face again. What depends on earlier parts is done when the parts pass in order.
  *
  * A part becomes one batch. Parts are the same for each reading, any budget and any number of
- * threads. They take up to about 4 MiB; only a mesh of a scene that Assimp reads is one part of any
- * size. */
+ * threads. They take up to about 4 MiB. */
 #ifndef FMT_MESH_FORMAT_H
 #define FMT_MESH_FORMAT_H
 

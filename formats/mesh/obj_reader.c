@@ -47,7 +47,7 @@ static uint64_t find_lines(struct stream_slot *slot, uint64_t have, bool at_file
     return at_file_end || (size == 0 && memchr(slot->bytes, '\0', have)) ? have : size;
 }
 
-static int cut(const struct stream_part *before, struct stream_slot *slot)
+int fmt_obj_cut(const struct stream_part *before, struct stream_slot *slot)
 {
     slot->part.first_item = before->end > 0 ? before->first_item + 1 : 0;
     slot->part.offset = before->end;
@@ -307,8 +307,8 @@ static void add_estimate(const struct mesh_arrays *a, bool only_start, uint64_t 
     out->has_colors |= a->has_colors || a->late_color_count > 0;
 }
 
-static int estimate(struct stream_source *source, uint64_t bytes, bool plain,
-                    struct fmt_mesh_estimate *out)
+int fmt_obj_estimate(struct stream_source *source, uint64_t bytes, bool plain,
+                     struct fmt_mesh_estimate *out)
 {
     struct stream_slot slot = {.ctx = source->ctx, .source = source, .last_face = UINT64_MAX};
     const uint64_t size = plain ? SAMPLE_BYTES : FMT_INPUT_SAMPLE_BYTES;
@@ -347,11 +347,11 @@ const struct fmt_mesh_format fmt_obj_format = {
                  [OBJ_USEMAP] = "usemap statements, whose textures are not read (see --texture)",
                  [OBJ_UNKNOWN] = "lines with statements that are not of the format"},
     .end = end,
-    .cut = cut,
+    .cut = fmt_obj_cut,
     .parse = parse,
     .pass = pass,
     .finish = finish,
-    .estimate = estimate,
+    .estimate = fmt_obj_estimate,
     .read_materials = fmt_obj_read_materials,
     .preview_materials = fmt_obj_preview_materials,
     .find_object = fmt_obj_find_object,

@@ -5,6 +5,7 @@
 // The file is its standard input, and what scene_file.h describes its standard output.
 #include <algorithm>
 #include <cerrno>
+#include <charconv>
 #include <cmath>
 #include <cstdio>
 #include <cstring>
@@ -41,6 +42,12 @@ Matrix multiply(const Matrix &a, const aiMatrix4x4 &b)
             out.m[i][k] = a.m[i][0] * double(b[0][k]) + a.m[i][1] * double(b[1][k]) +
                           a.m[i][2] * double(b[2][k]) + (k == 3 ? a.m[i][3] : 0);
     return out;
+}
+
+// Returns the product of a vector and a row of a matrix without its translation.
+double multiply(const double *row, const aiVector3D &v)
+{
+    return row[0] * double(v.x) + row[1] * double(v.y) + row[2] * double(v.z);
 }
 
 struct Place {
@@ -94,110 +101,168 @@ std::vector<Place> find_places(const aiScene &scene)
     return places;
 }
 
-// ---- writing ----
+// ---- text ----
 
-void put(FILE *to, const void *from, size_t size)
+// Appends numbers, each after a blank, so that they are read as they are.
+template <typename Number, size_t count>
+void put_numbers(std::string &line, const Number (&numbers)[count])
 {
-    if (size > 0)
-        fwrite(from, size, 1, to);
+    char text[32];
+    for (const Number number : numbers)
+        line.append(" ").append(text, std::to_chars(text, text + sizeof text, number).ptr);
 }
 
-void write_positions(FILE *to, const Place &place)
+// Returns a name as the rest of a line.
+std::string name_text(const aiString &name)
 {
-    const auto &m = place.matrix.m;
-    for (unsigned v = 0; v < place.mesh->mNumVertices; v++) {
-        const aiVector3D &p = place.mesh->mVertices[v];
-        double position[3];
-        for (int k = 0; k < 3; k++)
-            position[k] =
-                m[k][0] * double(p.x) + m[k][1] * double(p.y) + m[k][2] * double(p.z) + m[k][3];
-        put(to, position, sizeof position);
-    }
+    std::string text = name.C_Str();
+    for (char &c : text)
+        c = (unsigned char)c < ' ' ? ' ' : c;
+    if (!text.empty() && text.back() == '\\') // it would continue the line
+        text.back() = '/';
+    return text;
 }
 
-void write_texcoords(FILE *to, const Place &place)
+void put(FILE *to, const std::string &text)
 {
-    for (unsigned v = 0; v < place.mesh->mNumVertices; v++) {
-        double texcoord[2] = {0, 0};
-        for (unsigned k = 0; k < 2 && place.mesh->HasTextureCoords(0); k++)
-            texcoord[k] = double(place.mesh->mTextureCoords[0][v][k]);
-        put(to, texcoord, sizeof texcoord);
-    }
+    fwrite(text.data(), 1, text.size(), to);
 }
 
-void write_normals(FILE *to, const Place &place)
+// ---- materials ----
+
+struct Material {
+    bool textured, has_diffuse;
+    float diffuse[3]; // 0.8 if there is none
+};
+
+// What is written before the meshes.
+struct Output {
+    fmt_scene_head head;
+    std::vector<Material> materials;
+    std::string material_text;
+    bool has_colors; // of vertices
+};
+
+// Returns the diffuse colour, unless importers made the material up for meshes without one.
+Material find_diffuse(const aiMaterial &from)
 {
-    double m[3][3];
-    fmt_invert_for_normals(place.matrix.m, m);
-    for (unsigned v = 0; v < place.mesh->mNumVertices; v++) {
-        float normal[3] = {0, 0, 0};
-        for (int k = 0; k < 3 && place.mesh->HasNormals(); k++) {
-            const aiVector3D &n = place.mesh->mNormals[v];
-            const double value =
-                m[k][0] * double(n.x) + m[k][1] * double(n.y) + m[k][2] * double(n.z);
-            normal[k] = std::fabs(value) < 3e38 ? float(value) : NAN;
-        }
-        put(to, normal, sizeof normal);
+    const std::string name = from.GetName().C_Str();
+    Material to = {false, false, {0.8F, 0.8F, 0.8F}};
+    aiColor3D color;
+    to.has_diffuse = name != AI_DEFAULT_MATERIAL_NAME && name != "%%%DEFAULT" &&
+                     from.Get(AI_MATKEY_COLOR_DIFFUSE, color) == aiReturn_SUCCESS &&
+                     std::isfinite(color.r) && std::isfinite(color.g) && std::isfinite(color.b);
+    for (unsigned k = 0; k < 3 && to.has_diffuse; k++)
+        to.diffuse[k] = float(color[k]);
+    return to;
+}
+
+// Describes the diffuse texture, and how it moves texture coordinates. Returns whether there is one
+// in another file.
+bool put_texture(const aiMaterial &from, Output &out)
+{
+    aiString name;
+    aiUVTransform transform;
+    unsigned type = aiTextureType_DIFFUSE, set = 0;
+    if (from.GetTextureCount(aiTextureType_DIFFUSE) == 0)
+        type = aiTextureType_BASE_COLOR;
+    if (from.Get(AI_MATKEY_TEXTURE(type, 0), name) != aiReturn_SUCCESS || name.length == 0)
+        return false;
+    if (name.data[0] == '*') { // the number of an embedded texture
+        out.head.inner_textures++;
+        return false;
     }
+    from.Get(AI_MATKEY_UVWSRC(type, 0), set);
+    from.Get(AI_MATKEY_UVTRANSFORM(type, 0), transform);
+    const float scale[] = {float(transform.mScaling.x), float(transform.mScaling.y), 1},
+                offset[] = {float(transform.mTranslation.x), float(transform.mTranslation.y), 0};
+    out.head.turned_textures += set != 0 || transform.mRotation != 0;
+    out.material_text += "map_Kd";
+    if (std::isfinite(scale[0] + scale[1] + offset[0] + offset[1])) {
+        put_numbers(out.material_text += " -s", scale);
+        put_numbers(out.material_text += " -o", offset);
+    }
+    out.material_text += " " + name_text(name) + "\n";
+    return true;
+}
+
+void put_material(const aiMaterial &from, Output &out)
+{
+    Material material = find_diffuse(from);
+    float inside[3];
+    for (int k = 0; k < 3; k++)
+        inside[k] = std::min(std::max(material.diffuse[k], 0.0F), 1.0F);
+    out.material_text += "newmtl " + name_text(from.GetName()) + "\n";
+    if (material.has_diffuse)
+        put_numbers(out.material_text += "Kd", inside);
+    out.material_text += "\n";
+    material.textured = put_texture(from, out);
+    out.materials.push_back(material);
+}
+
+// ---- meshes ----
+
+// Counts a mesh, and checks its indices. A diffuse colour is one of the vertices if others have
+// colours.
+void count_mesh(const aiMesh &mesh, Output &out)
+{
+    const Material *material =
+        mesh.mMaterialIndex < out.materials.size() ? &out.materials[mesh.mMaterialIndex] : nullptr;
+    const bool textured = material && material->textured;
+    out.head.hidden_colors += mesh.HasVertexColors(0) && textured && mesh.HasTextureCoords(0);
+    out.head.clamped_colors += !out.has_colors && material && !textured &&
+                               std::any_of(material->diffuse, material->diffuse + 3,
+                                           [](float v) { return v < 0 || v > 1; });
+    for (unsigned f = 0; f < mesh.mNumFaces; f++)
+        for (unsigned i = 0; i < mesh.mFaces[f].mNumIndices; i++)
+            if (mesh.mFaces[f].mIndices[i] >= mesh.mNumVertices)
+                throw std::runtime_error("a face refers to a vertex that does not exist");
 }
 
 // A mesh without colours has that of its material.
-void write_colors(FILE *to, const Place &place, const std::vector<fmt_scene_material> &materials)
+void put_color(std::string &line, const aiMesh &mesh, unsigned v, const Output &out)
+{
+    float color[3] = {1, 1, 1};
+    if (mesh.HasVertexColors(0)) {
+        const aiColor4D &c = mesh.mColors[0][v];
+        color[0] = float(c.r), color[1] = float(c.g), color[2] = float(c.b);
+    } else if (mesh.mMaterialIndex < out.materials.size() &&
+               out.materials[mesh.mMaterialIndex].has_diffuse) {
+        std::copy_n(out.materials[mesh.mMaterialIndex].diffuse, 3, color);
+    }
+    put_numbers(line, color);
+}
+
+// Writes positions with colours, texture coordinates and normals.
+void write_vertices(FILE *to, const Place &place, const Output &out)
 {
     const aiMesh &mesh = *place.mesh;
-    const bool known =
-        mesh.mMaterialIndex < materials.size() && materials[mesh.mMaterialIndex].has_diffuse;
+    const auto &m = place.matrix.m;
+    double n[3][3];
+    fmt_invert_for_normals(m, n);
     for (unsigned v = 0; v < mesh.mNumVertices; v++) {
-        float color[3] = {1, 1, 1};
-        if (mesh.HasVertexColors(0)) {
-            const aiColor4D &c = mesh.mColors[0][v];
-            color[0] = float(c.r), color[1] = float(c.g), color[2] = float(c.b);
-        } else if (known) {
-            std::copy_n(materials[mesh.mMaterialIndex].diffuse, 3, color);
+        std::string line = "v";
+        double position[3];
+        for (int k = 0; k < 3; k++)
+            position[k] = multiply(m[k], mesh.mVertices[v]) + m[k][3];
+        put_numbers(line, position);
+        if (out.has_colors)
+            put_color(line, mesh, v, out);
+        if (mesh.HasTextureCoords(0)) {
+            const aiVector3D &from = mesh.mTextureCoords[0][v];
+            const float texcoord[] = {float(from.x), float(from.y)};
+            put_numbers(line += "\nvt", texcoord);
         }
-        put(to, color, sizeof color);
-    }
-}
-
-// Polygons are turned round if the node mirrors.
-void write_corners(FILE *to, const Place &place, uint64_t first_vertex)
-{
-    double unused[3][3];
-    const bool mirrored = fmt_invert_for_normals(place.matrix.m, unused);
-    for (unsigned f = 0; f < place.mesh->mNumFaces; f++) {
-        const aiFace &face = place.mesh->mFaces[f];
-        const unsigned size = face.mNumIndices;
-        for (unsigned i = 0; i < size && size > 2; i++) {
-            const uint64_t vertex = first_vertex + face.mIndices[mirrored && i > 0 ? size - i : i];
-            put(to, &vertex, sizeof vertex);
+        float normal[3];
+        for (int k = 0; k < 3 && mesh.HasNormals(); k++) {
+            const double value = multiply(n[k], mesh.mNormals[v]);
+            normal[k] = std::fabs(value) < 3e38 ? float(value) : NAN;
         }
+        if (mesh.HasNormals())
+            put_numbers(line += "\nvn", normal);
+        put(to, line += "\n");
     }
 }
-
-void write_face_sizes(FILE *to, const Place &place)
-{
-    for (unsigned f = 0; f < place.mesh->mNumFaces; f++)
-        if (place.mesh->mFaces[f].mNumIndices > 2)
-            put(to, &place.mesh->mFaces[f].mNumIndices, sizeof(uint32_t));
-}
-
-// ---- describing ----
-
-// What comes before the arrays in the file, and the names after them.
-struct Tables {
-    fmt_scene_head head;
-    std::vector<fmt_scene_mesh> meshes;
-    std::vector<fmt_scene_material> materials;
-    std::string texts;
-
-    // Returns the place of a name.
-    uint64_t enter(const aiString &name)
-    {
-        const uint64_t at = texts.size();
-        texts.append(name.C_Str(), std::strlen(name.C_Str()) + 1);
-        return at;
-    }
-};
 
 // Returns the name of a node or, if it has none, of its mesh.
 const aiString &name_of(const Place &place)
@@ -207,119 +272,54 @@ const aiString &name_of(const Place &place)
     return named ? place.node->mName : place.mesh->mName;
 }
 
-// Copies the diffuse colour, unless importers made the material up for meshes without one.
-void copy_diffuse(const aiMaterial &from, fmt_scene_material *to)
+// Writes the polygons, which are turned round if the node mirrors. first: the numbers of the mesh's
+// first position, texture coordinate and normal, from 1; they move on to the next mesh.
+void write_faces(FILE *to, const Place &place, uint64_t first[3])
 {
-    const std::string name = from.GetName().C_Str();
-    aiColor3D color;
-    std::fill_n(to->diffuse, 3, 0.8F);
-    to->has_diffuse = name != AI_DEFAULT_MATERIAL_NAME && name != "%%%DEFAULT" &&
-                      from.Get(AI_MATKEY_COLOR_DIFFUSE, color) == aiReturn_SUCCESS &&
-                      std::isfinite(color.r) && std::isfinite(color.g) && std::isfinite(color.b);
-    for (unsigned k = 0; k < 3 && to->has_diffuse; k++)
-        to->diffuse[k] = float(color[k]);
-}
-
-// Describes the diffuse texture, and how it moves texture coordinates.
-void copy_texture(const aiMaterial &from, fmt_scene_material *to, Tables *out)
-{
-    aiString name;
-    aiUVTransform transform;
-    unsigned type = aiTextureType_DIFFUSE, set = 0;
-    to->texture = UINT64_MAX;
-    if (from.GetTextureCount(aiTextureType_DIFFUSE) == 0)
-        type = aiTextureType_BASE_COLOR;
-    if (from.Get(AI_MATKEY_TEXTURE(type, 0), name) != aiReturn_SUCCESS || name.length == 0)
-        return;
-    if (name.data[0] == '*') { // the number of an embedded texture
-        out->head.inner_textures++;
-        return;
-    }
-    from.Get(AI_MATKEY_UVWSRC(type, 0), set);
-    from.Get(AI_MATKEY_UVTRANSFORM(type, 0), transform);
-    const aiVector2D &scale = transform.mScaling, &offset = transform.mTranslation;
-    if (std::isfinite(scale.x) && std::isfinite(scale.y) && std::isfinite(offset.x) &&
-        std::isfinite(offset.y))
-        to->uv = {scale.x != 1 || scale.y != 1 || offset.x != 0 || offset.y != 0,
-                  {float(scale.x), float(scale.y)},
-                  {float(offset.x), float(offset.y)},
-                  {BSQ_WRAP_REPEAT, BSQ_WRAP_REPEAT},
-                  false};
-    out->head.turned_textures += set != 0 || transform.mRotation != 0;
-    to->texture = out->enter(name);
-}
-
-// Counts a mesh, and checks its indices.
-void count_mesh(const aiMesh &mesh, Tables *out)
-{
-    fmt_scene_head *head = &out->head;
-    const bool textured = mesh.mMaterialIndex < out->materials.size() &&
-                          out->materials[mesh.mMaterialIndex].texture != UINT64_MAX;
-    head->vertex_count += mesh.mNumVertices;
-    head->has_colors |= mesh.HasVertexColors(0);
-    head->hidden_colors += mesh.HasVertexColors(0) && textured && mesh.HasTextureCoords(0);
+    const aiMesh &mesh = *place.mesh;
+    const bool has[3] = {true, mesh.HasTextureCoords(0), mesh.HasNormals()};
+    double unused[3][3];
+    const bool mirrored = fmt_invert_for_normals(place.matrix.m, unused);
+    put(to, "o " + name_text(name_of(place)) + "\nusemtl " + std::to_string(mesh.mMaterialIndex) +
+                "\n");
     for (unsigned f = 0; f < mesh.mNumFaces; f++) {
         const aiFace &face = mesh.mFaces[f];
-        const bool whole = face.mNumIndices > 2;
-        head->face_count += whole;
-        head->short_faces += !whole;
-        head->corner_count += whole ? face.mNumIndices : 0;
-        for (unsigned i = 0; i < face.mNumIndices && whole; i++)
-            if (face.mIndices[i] >= mesh.mNumVertices)
-                throw std::runtime_error("a face refers to a vertex that does not exist");
+        const unsigned size = face.mNumIndices;
+        std::string line = "f";
+        for (unsigned i = 0; i < size; i++)
+            for (int k = 0; k < 3; k++) {
+                line += k == 0 ? " " : "/";
+                if (has[k])
+                    line +=
+                        std::to_string(first[k] + face.mIndices[mirrored && i > 0 ? size - i : i]);
+            }
+        put(to, line += "\n");
     }
-}
-
-Tables describe(const aiScene &scene, const std::vector<Place> &places)
-{
-    Tables out = {};
-    fmt_scene_head *head = &out.head;
-    std::strncpy(head->stamp, fmt_program_stamp, sizeof head->stamp - 1);
-    for (unsigned i = 0; i < scene.mNumMaterials; i++) {
-        fmt_scene_material material = {};
-        copy_diffuse(*scene.mMaterials[i], &material);
-        material.name = out.enter(scene.mMaterials[i]->GetName());
-        copy_texture(*scene.mMaterials[i], &material, &out);
-        out.materials.push_back(material);
-    }
-    for (const Place &place : places) {
-        out.meshes.push_back({head->vertex_count, head->face_count, head->corner_count,
-                              out.enter(name_of(place)), place.mesh->mMaterialIndex,
-                              place.mesh->HasNormals(), place.mesh->HasTextureCoords(0), 0});
-        count_mesh(*place.mesh, &out);
-    }
-    out.texts += '\0';
-    out.meshes.push_back({head->vertex_count, head->face_count, head->corner_count,
-                          out.texts.size() - 1, 0, 0, 0, 0});
-    head->mesh_count = places.size();
-    head->material_count = out.materials.size();
-    head->text_bytes = out.texts.size();
-    return out;
+    for (int k = 0; k < 3; k++)
+        first[k] += has[k] ? mesh.mNumVertices : 0;
 }
 
 void write_scene(const aiScene &scene, bool has_tangents, uint64_t memory_bytes, FILE *to)
 {
     const std::vector<Place> places = find_places(scene);
-    Tables t = describe(scene, places);
-    t.head.memory_bytes = memory_bytes;
-    t.head.has_tangents = has_tangents;
-    put(to, &t.head, sizeof t.head);
-    put(to, t.meshes.data(), t.meshes.size() * sizeof t.meshes[0]);
-    put(to, t.materials.data(), t.materials.size() * sizeof t.materials[0]);
+    Output out = {};
+    uint64_t first[3] = {1, 1, 1};
     for (const Place &place : places)
-        write_positions(to, place);
+        out.has_colors |= place.mesh->HasVertexColors(0);
+    for (unsigned i = 0; i < scene.mNumMaterials; i++)
+        put_material(*scene.mMaterials[i], out);
     for (const Place &place : places)
-        write_texcoords(to, place);
-    for (size_t i = 0; i < places.size(); i++)
-        write_corners(to, places[i], t.meshes[i].first_vertex);
+        count_mesh(*place.mesh, out);
+    std::strncpy(out.head.stamp, fmt_program_stamp, sizeof out.head.stamp - 1);
+    out.head.memory_bytes = memory_bytes;
+    out.head.material_bytes = out.material_text.size();
+    out.head.has_tangents = has_tangents;
+    fwrite(&out.head, sizeof out.head, 1, to);
+    put(to, out.material_text);
     for (const Place &place : places)
-        write_normals(to, place);
+        write_vertices(to, place, out);
     for (const Place &place : places)
-        if (t.head.has_colors)
-            write_colors(to, place, t.materials);
-    for (const Place &place : places)
-        write_face_sizes(to, place);
-    put(to, t.texts.data(), t.texts.size());
+        write_faces(to, place, first);
 }
 
 // ---- reading ----

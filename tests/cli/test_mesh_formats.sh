@@ -486,6 +486,9 @@ refused_like 65 '^bisque-bake: cut.fbx: cannot be read: '
 gzip -c "$meshes/uv.assimp.dae" >uv.dae.gz
 ok run bisque-bake uv.nvdb uv.dae.gz -o other.exr --maps normal --size 64
 ok run bisque-compare --type normal uv.exr other.exr --max-error 0.05
+ok run bisque-voxelize "$meshes/uv.blender.fbx" -o a.nvdb --tris a.tris --voxel-size 0.02
+ok run bisque-voxelize - -o b.nvdb --tris b.tris --voxel-size 0.02 <"$meshes/uv.blender.fbx"
+same a.tris b.tris
 run bisque-bake uv.nvdb "$meshes/uv.assimp.dae" -o other.exr --maps normal --memory 300K
 code 71
 # Damaged files for which Assimp asks for 6 GB, or takes memory in a loop without end.
