@@ -27,7 +27,8 @@ enum { KINDS = sizeof kinds / sizeof kinds[0] };
 
 struct bake_device {
     struct bsq_ctx *ctx;
-    const struct bake_job *job;
+    struct bake_job job;
+    struct bake_tree tree; /* of the job's grid, for secondary rays */
     struct bake_backend *backend;
     bool automatic;                /* the backend may be replaced by the fallback */
     pthread_mutex_t lock;          /* protects the opening of the fallback */
@@ -93,38 +94,21 @@ static int check_space(struct bsq_ctx *ctx, const struct bake_backend *backend,
     return 0;
 }
 
-/* Builds the tree that a device needs for rays from hits. Fails with BSQ_RETRY if there is none. */
-static int device_make_tree(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_tree *tree)
-{
-    int status = bake_tree_build(ctx, job->grid, bsq_memory_left(ctx), tree);
-    if (status == 0 && !tree->nodes && job->grid->leaf_count > 0)
-        status =
-            bsq_fail(ctx, BSQ_RETRY,
-                     "rays from hits need a tree around the grid's leaves; it does not fit the "
-                     "memory budget, or the grid is wider than %d voxels",
-                     BAKE_TREE_EXTENT);
-    return status;
-}
-
 /* Copies the grid to a device with memory of its own. */
 static int device_load_grid(struct bsq_ctx *ctx, const struct bake_job *job,
                             struct bake_backend *backend)
 {
     char why[BAKE_WHY_BYTES] = "";
-    struct bake_tree tree = {0};
     struct bake_grid_arrays grid;
     int status = 0;
     if (!backend->load)
         return 0;
-    if (bake_ray_count(&job->params) > 0)
-        BSQ_TRY(device_make_tree(ctx, job, &tree));
-    bake_list_arrays(job, &tree, &grid);
+    bake_list_arrays(job, &grid);
     BSQ_TRY(check_space(ctx, backend, &grid));
     status = backend->load(backend, &grid, why);
     if (status < 0)
         status = bsq_fail(ctx, status, "%s: %s", backend->name, why);
 done:
-    bake_tree_free(ctx, &tree);
     return status;
 }
 
@@ -133,9 +117,9 @@ done:
 static int open_loaded(struct bake_device *device, const struct bake_device_kind *kind,
                        uint32_t number)
 {
-    int status = kind->open(device->ctx, number, device->job, &device->backend);
+    int status = kind->open(device->ctx, number, &device->job, &device->backend);
     if (status == 0)
-        status = device_load_grid(device->ctx, device->job, device->backend);
+        status = device_load_grid(device->ctx, &device->job, device->backend);
     if (status < 0 && device->backend) {
         device->backend->close(device->backend);
         device->backend = NULL;
@@ -145,7 +129,7 @@ static int open_loaded(struct bake_device *device, const struct bake_device_kind
 
 static int open_processor(struct bake_device *device)
 {
-    return bake_native_kind.open(device->ctx, 0, device->job, &device->backend);
+    return bake_native_kind.open(device->ctx, 0, &device->job, &device->backend);
 }
 
 /* ---- finding ---- */
@@ -272,10 +256,15 @@ int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_jo
     if (status < 0)
         return status;
     device->ctx = ctx;
-    device->job = job;
+    device->job = *job;
     pthread_mutex_init(&device->lock, NULL);
     atomic_init(&device->lost, false);
-    status = strcmp(name, "auto") == 0 ? open_any(device) : open_named(device, name);
+    if (bake_ray_count(&job->params) > 0) {
+        status = bake_tree_build(ctx, job->grid, &device->tree);
+        device->job.tree = &device->tree;
+    }
+    if (status == 0)
+        status = strcmp(name, "auto") == 0 ? open_any(device) : open_named(device, name);
     if (status < 0) {
         bake_device_close(device);
         return status;
@@ -300,7 +289,7 @@ static bool fall_back(struct bake_device *device, const char *why)
         return false;
     pthread_mutex_lock(&device->lock);
     if (!device->fallback &&
-        bake_native_kind.open(device->ctx, 0, device->job, &device->fallback) == 0) {
+        bake_native_kind.open(device->ctx, 0, &device->job, &device->fallback) == 0) {
         bsq_warn(device->ctx, "%s: %s; going on with %s", device->backend->name, why,
                  device->fallback->name);
         snprintf(device->name, sizeof device->name, "%s, then %.100s", device->backend->name,
@@ -343,6 +332,7 @@ void bake_device_close(struct bake_device *device)
         device->backend->close(device->backend);
     if (device->fallback)
         device->fallback->close(device->fallback);
+    bake_tree_free(device->ctx, &device->tree);
     pthread_mutex_destroy(&device->lock);
     bsq_free(device->ctx, device);
 }

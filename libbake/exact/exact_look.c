@@ -42,29 +42,28 @@ struct pass {
     uint64_t steps, step; /* of the progress: groups of chunks; those before this one */
 };
 
-static struct bake_exact_ray ray_of(const struct bake_exact_look *look,
-                                    const struct bake_viewpoint *viewpoint, bool open,
+static struct bake_exact_ray ray_of(const bk_rays *kind, const bk_viewpoint *viewpoint,
                                     uint32_t number)
 {
-    struct bake_exact_ray ray = {0};
-    bake_viewpoint_ray(look->params, viewpoint, open, number, ray.origin, ray.direction);
-    return ray;
+    const bk_vec3 from = bk_ray_start(kind, viewpoint);
+    const bk_vec3w d = bk_ray_directions(kind, viewpoint, number);
+    return (struct bake_exact_ray){{from.x, from.y, from.z}, {d.x, d.y, d.z}};
 }
 
 /* ---- tracing ---- */
 
 /* Traces the open rays of a viewpoint that are not hidden yet. */
-static void trace_open(const struct pass *pass, const struct bake_viewpoint *viewpoint,
-                       uint64_t *hidden)
+static void trace_open(const struct pass *pass, const bk_viewpoint *viewpoint, uint64_t *hidden)
 {
     const struct bake_exact_look *look = pass->look;
+    const bk_rays kind = bk_rays_of(look->params, 1);
     const struct exact_limits limits = {
         .t_max = (double)look->params->open_limit, .two_sided = true, .any = true};
     for (uint32_t i = 0; i < pass->states->opens; i++) {
         struct exact_best best = {.triangle = BAKE_EXACT_NONE};
         if (hidden[i / 64] >> (i % 64) & 1)
             continue;
-        const struct bake_exact_ray ray = ray_of(look, viewpoint, true, i);
+        const struct bake_exact_ray ray = ray_of(&kind, viewpoint, i);
         const bool found = BSQ_SIMD_PICK(look->exact->simd, bake_exact_group_trace)(
             &look->group, &ray, &limits, &best);
         hidden[i / 64] |= (uint64_t)found << (i % 64);
@@ -72,16 +71,16 @@ static void trace_open(const struct pass *pass, const struct bake_viewpoint *vie
 }
 
 /* Shortens the distances of `count` rays of a viewpoint to their nearest hits. */
-static void trace_nearest(const struct pass *pass, const struct bake_viewpoint *viewpoint,
-                          bool open, uint32_t count, float *distances)
+static void trace_nearest(const struct pass *pass, const bk_viewpoint *viewpoint, bool open,
+                          uint32_t count, float *distances)
 {
     const struct bake_exact_look *look = pass->look;
-    struct exact_limits limits = {.two_sided = open, .facing_origin = viewpoint->reversed};
+    const bk_rays kind = bk_rays_of(look->params, open);
+    struct exact_limits limits = {.two_sided = open, .facing_origin = viewpoint->side < 0};
     for (uint32_t i = 0; i < count; i++) {
         struct exact_best best = {.triangle = BAKE_EXACT_NONE};
-        const struct bake_exact_ray ray = ray_of(look, viewpoint, open, i);
-        const float most = open ? look->params->open_limit : look->params->thickness_limit;
-        limits.t_max = (double)fminf(distances[i], most);
+        const struct bake_exact_ray ray = ray_of(&kind, viewpoint, i);
+        limits.t_max = (double)fminf(distances[i], kind.limit);
         if (BSQ_SIMD_PICK(look->exact->simd, bake_exact_group_trace)(&look->group, &ray, &limits,
                                                                      &best))
             distances[i] = fminf(distances[i], (float)best.t);
@@ -106,7 +105,7 @@ static int trace_block(void *arg, uint64_t index, unsigned worker)
     const uint64_t begin = index * BLOCK, left = pass->viewpoints->count - begin;
     const uint64_t end = begin + (left < BLOCK ? left : BLOCK);
     for (uint64_t i = begin; i < end; i++) {
-        struct bake_viewpoint viewpoint;
+        bk_viewpoint viewpoint;
         if (!pass->viewpoints->get(pass->viewpoints->arg, i, &viewpoint))
             continue;
         if (states->words > 0)
@@ -133,14 +132,14 @@ static uint32_t find_reached(const struct pass *pass)
     const float far = 1.001f * fmaxf(open, solid) + 2.0f * bake_exact_lift(look->exact);
     struct exact_box box = EXACT_EMPTY_BOX;
     for (uint64_t i = 0; i < pass->viewpoints->count; i++) {
-        struct bake_viewpoint viewpoint;
+        bk_viewpoint viewpoint;
         if (!pass->viewpoints->get(pass->viewpoints->arg, i, &viewpoint))
             continue;
+        const float a[3] = {viewpoint.open_from.x, viewpoint.open_from.y, viewpoint.open_from.z};
+        const float b[3] = {viewpoint.solid_from.x, viewpoint.solid_from.y, viewpoint.solid_from.z};
         for (int k = 0; k < 3; k++) {
-            box.low[k] =
-                fminf(box.low[k], fminf(viewpoint.open_from[k], viewpoint.solid_from[k]) - far);
-            box.high[k] =
-                fmaxf(box.high[k], fmaxf(viewpoint.open_from[k], viewpoint.solid_from[k]) + far);
+            box.low[k] = fminf(box.low[k], fminf(a[k], b[k]) - far);
+            box.high[k] = fmaxf(box.high[k], fmaxf(a[k], b[k]) + far);
         }
     }
     /* A box without end would overlap the tree's empty boxes. */

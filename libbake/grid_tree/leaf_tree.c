@@ -44,7 +44,6 @@ enum { CHECKED = 4096, CHECKED_LOWERS = 64 };
 struct builder {
     struct bsq_ctx *ctx;
     const struct fmt_nvdb_grid *grid;
-    uint64_t limit; /* bytes */
     struct lower_node *lowers;
     uint64_t lower_count;
     struct leaf *leaves;
@@ -276,19 +275,6 @@ static uint32_t leaves_divide(const struct builder *builder, struct range parts[
     return count;
 }
 
-/* Reserves capacity for more nodes. *fits: whether they are within the limit; bsq_grow() takes up
- * to a half more. */
-static int leaves_reserve(struct builder *builder, uint64_t nodes, bool *fits)
-{
-    struct bake_tree *tree = builder->tree;
-    const uint64_t needed = tree->count + nodes;
-
-    *fits = needed <= BAKE_TREE_MOST && needed + needed / 2 <= builder->limit / sizeof *tree->nodes;
-    return *fits ? bsq_grow(builder->ctx, "tree of leaves", needed, sizeof *tree->nodes,
-                            &tree->nodes, &tree->capacity)
-                 : 0;
-}
-
 static struct pending get_pending(const struct bake_tree_node *node)
 {
     struct pending pending;
@@ -296,17 +282,23 @@ static struct pending get_pending(const struct bake_tree_node *node)
     return pending;
 }
 
-/* Appends a node with these leaves. */
-static void leaves_append(struct bake_tree *tree, const struct range *range)
+/* Appends nodes that each have a range of leaves. */
+static int leaves_append(struct builder *builder, const struct range *ranges, uint32_t count)
 {
-    const struct pending pending = {.range = *range};
-    struct bake_tree_node *node = &tree->nodes[tree->count++];
-    memset(node, 0, sizeof *node);
-    memcpy(node->borders, &pending, sizeof pending);
+    struct bake_tree *tree = builder->tree;
+    int status = bsq_grow(builder->ctx, "tree of leaves", tree->count + count, sizeof *tree->nodes,
+                          &tree->nodes, &tree->capacity);
+    for (uint32_t i = 0; status == 0 && i < count; i++) {
+        const struct pending pending = {.range = ranges[i]};
+        struct bake_tree_node *node = &tree->nodes[tree->count++];
+        memset(node, 0, sizeof *node);
+        memcpy(node->borders, &pending, sizeof pending);
+    }
+    return status;
 }
 
 /* Gives a node its children. */
-static int add_children(struct builder *builder, uint64_t number, bool *fits)
+static int add_children(struct builder *builder, uint64_t number)
 {
     struct bake_tree *tree = builder->tree;
     struct pending pending = get_pending(&tree->nodes[number]);
@@ -322,10 +314,7 @@ static int add_children(struct builder *builder, uint64_t number, bool *fits)
     pending.children = leaves_divide(builder, parts);
     memcpy(tree->nodes[number].borders, &pending, sizeof pending);
     tree->nodes[number].first = (uint32_t)tree->count;
-    int status = leaves_reserve(builder, pending.children, fits);
-    for (uint32_t i = 0; status == 0 && *fits && i < pending.children; i++)
-        leaves_append(tree, &parts[i]);
-    return status;
+    return leaves_append(builder, parts, pending.children);
 }
 
 /* ---- boxes ---- */
@@ -437,22 +426,28 @@ static void make_boxes(const struct bake_tree *tree, struct bake_tree_node *node
     node->corner[0] |= (int32_t)(shift / 2);
 }
 
+/* Makes a root whose children are missing. */
+static int add_empty_root(struct builder *builder)
+{
+    const int status = leaves_append(builder, &(struct range){0, 0}, 1);
+    for (int axis = 0; status == 0 && axis < 3; axis++) {
+        memset(builder->tree->nodes->borders[axis][0], UINT8_MAX, BAKE_TREE_WIDTH);
+        memset(builder->tree->nodes->borders[axis][1], 0, BAKE_TREE_WIDTH);
+    }
+    return status;
+}
+
 /* Makes the root and all its descendants. */
-static int add_nodes(struct builder *builder, bool *fits)
+static int add_nodes(struct builder *builder)
 {
     struct bake_tree *tree = builder->tree;
-    const struct range all = {0, builder->leaf_count};
     int status;
-    BSQ_TRY(leaves_reserve(builder, 1, fits));
-    if (*fits)
-        leaves_append(tree, &all);
-    for (uint64_t i = 0; *fits && i < tree->count; i++) {
+    BSQ_TRY(leaves_append(builder, &(struct range){0, builder->leaf_count}, 1));
+    for (uint64_t i = 0; i < tree->count; i++) {
         if (i % CHECKED == 0)
             BSQ_TRY(bsq_check(builder->ctx));
-        BSQ_TRY(add_children(builder, i, fits));
+        BSQ_TRY(add_children(builder, i));
     }
-    if (!*fits)
-        return 0;
     for (uint64_t i = tree->count; i-- > 0;) {
         if (i % CHECKED == 0)
             BSQ_TRY(bsq_check(builder->ctx));
@@ -468,10 +463,11 @@ done:
     return status;
 }
 
-/* Returns whether the leaves are within BAKE_TREE_EXTENT of each other. */
-static bool is_narrow(const struct builder *builder)
+/* Fails unless the leaves are within BAKE_TREE_EXTENT of each other, and few enough. */
+static int check_extent(const struct builder *builder)
 {
     struct box box = no_box;
+    bool fits = builder->leaf_count <= BAKE_TREE_MOST / 2;
     for (uint64_t i = 0; i < builder->lower_count; i++) {
         struct box block;
         for (int axis = 0; axis < 3; axis++) {
@@ -480,41 +476,35 @@ static bool is_narrow(const struct builder *builder)
         }
         leaves_join(&box, &block);
     }
-    for (int axis = 0; axis < 3; axis++)
-        if ((int64_t)box.high[axis] - box.low[axis] > BAKE_TREE_EXTENT)
-            return false;
-    return true;
+    for (int axis = 0; axis < 3 && builder->lower_count > 0; axis++)
+        fits &= (int64_t)box.high[axis] - box.low[axis] <= BAKE_TREE_EXTENT;
+    return fits ? 0
+                : bsq_fail(builder->ctx, BSQ_EDATA,
+                           "%s: rays from hits need a grid of at most %d voxels along each axis "
+                           "and %u leaves",
+                           builder->grid->map.path, BAKE_TREE_EXTENT,
+                           (unsigned)(BAKE_TREE_MOST / 2));
 }
 
-int bake_tree_build(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, uint64_t limit,
-                    struct bake_tree *tree)
+int bake_tree_build(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, struct bake_tree *tree)
 {
-    const uint64_t lists = grid->leaf_count * sizeof(struct leaf) +
-                           grid->lower_count * (uint64_t)sizeof(struct lower_node);
-    const uint64_t blocks = grid->leaf_count * (uint64_t)sizeof *tree->blocks;
     struct builder builder = {.ctx = ctx, .grid = grid, .tree = tree};
-    bool fits = lists + blocks < limit && grid->leaf_count > 0 && grid->lower_count > 0;
-    int status = 0;
+    int status;
 
     *tree = (struct bake_tree){0};
-    if (!fits)
-        return 0;
-    builder.limit = limit - lists - blocks;
     BSQ_TRY(
         bsq_alloc(ctx, "lower nodes", grid->lower_count, sizeof *builder.lowers, &builder.lowers));
     BSQ_TRY(bsq_alloc(ctx, "leaves", grid->leaf_count, sizeof *builder.leaves, &builder.leaves));
-    BSQ_TRY(list_lowers(&builder));
-    BSQ_TRY(list_leaves(&builder));
-    fits = builder.leaf_count > 0 && is_narrow(&builder);
-    if (!fits)
-        goto done;
     BSQ_TRY(
         bsq_alloc(ctx, "blocks of leaves", grid->leaf_count, sizeof *tree->blocks, &tree->blocks));
-    status = add_nodes(&builder, &fits);
+    BSQ_TRY(list_lowers(&builder));
+    BSQ_TRY(list_leaves(&builder));
+    BSQ_TRY(check_extent(&builder));
+    status = builder.leaf_count > 0 ? add_nodes(&builder) : add_empty_root(&builder);
 done:
     bsq_free(ctx, builder.lowers);
     bsq_free(ctx, builder.leaves);
-    if (status < 0 || !fits)
+    if (status < 0)
         bake_tree_free(ctx, tree);
     return status;
 }

@@ -45,18 +45,18 @@ struct bake_tree_node {
 _Static_assert(sizeof(struct bake_tree_node) == 64, "a node takes a cache line");
 
 struct bake_tree {
-    struct bake_tree_node *nodes; /* the root comes first; NULL: there is no tree */
+    struct bake_tree_node
+        *nodes; /* the root comes first; it has no children if there are no voxels */
     uint64_t count, capacity;
     /* Occupied voxels of the blocks of each leaf of the grid, bit x << 4 | y << 2 | z. */
     uint64_t (*blocks)[BAKE_TREE_WIDTH];
     int32_t low[3], high[3]; /* borders of a box around all voxels */
 };
 
-/* Builds the tree of a grid. Without leaves, or if the grid is too wide or the tree would need more
- * than `limit` bytes, there is none: tree->nodes stays NULL. The caller frees it. Errors:
- * BSQ_EINTR, BSQ_ENOMEM. */
-int bake_tree_build(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, uint64_t limit,
-                    struct bake_tree *tree);
+/* Builds the tree of a grid; the caller frees it. It takes up to 155 bytes a leaf, and about a half
+ * more while it is built. Errors: BSQ_EDATA for a grid wider than BAKE_TREE_EXTENT; BSQ_EINTR,
+ * BSQ_ENOMEM. */
+int bake_tree_build(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, struct bake_tree *tree);
 void bake_tree_free(struct bsq_ctx *ctx, struct bake_tree *tree);
 
 /* Returns the lowest border of the children's boxes on an axis. */

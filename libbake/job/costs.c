@@ -14,8 +14,6 @@ struct speed {
     double sample, look, open, thickness, curvature;
 };
 static const struct speed grid_speed = {0.35e-6, 0.6e-6, 0.2e-6, 0.35e-6, 3.0e-6};
-/* Secondary rays on several scans do not go through a tree of leaves. */
-static const struct speed walk_speed = {0.35e-6, 0.6e-6, 0.5e-6, 0.9e-6, 3.0e-6};
 static const struct speed exact_speed = {0.95e-6, 0.0, 2.3e-6, 4.0e-6, 9.0e-6};
 /* Of a triangle in a chunk that is loaded; of one in the tree that rays reach; of one in the chunks
  * that secondary rays need, which are all of the scan. */
@@ -33,12 +31,6 @@ struct share {
 static bool looks_around(const struct bake_work *job)
 {
     return (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS)) != 0;
-}
-
-/* Returns whether secondary rays on a grid go through a tree of its leaves. */
-static bool has_tree(const struct share *share)
-{
-    return looks_around(share->job) && share->job->surface.scan_count == 1;
 }
 
 /* Returns the seconds of rays against one scan, without those of loading it. */
@@ -78,7 +70,7 @@ static double scan_seconds(const struct share *share, const struct bake_scan *sc
 {
     if (scan->exact)
         return ray_seconds(share, &exact_speed) + load_chunks_seconds(share, scan->exact);
-    return ray_seconds(share, has_tree(share) ? &grid_speed : &walk_speed);
+    return ray_seconds(share, &grid_speed);
 }
 
 double bake_expect_seconds(const struct bake_work *job, uint64_t texels, uint64_t all)

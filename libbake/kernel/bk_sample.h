@@ -289,37 +289,13 @@ BK_FN bk_viewpoint bk_viewpoint_of_hit(const bk_params *params, const bk_samples
         bk_add_scaledw(traced->start.origin, traced->hits.t, traced->start.direction);
     bk_viewpoint viewpoint;
 
-    viewpoint.position = bk_lane3(&position, lane);
+    viewpoint.solid_from = bk_lane3(&position, lane);
     viewpoint.normal = bk_lane3(&traced->hits.normal, lane);
+    viewpoint.open_from = bk_add_scaled(viewpoint.solid_from, BK_LIFT, viewpoint.normal);
+    viewpoint.facet = bk_v3(0.0f, 0.0f, 0.0f);
     viewpoint.side = traced->hits.reversed >> lane & 1u ? -1.0f : 1.0f;
     viewpoint.share = bk_sample_share(samples->x[lane], samples->y[lane], params->samples);
     return viewpoint;
-}
-
-/* Traces samples and the rays from their hits. */
-BK_FN void bk_trace_samples(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                            const BK_GLOBAL bk_triangle *triangles, const bk_samples *samples,
-                            bk_map_hits *out)
-{
-    bk_surroundings sums[BK_WIDTH];
-    bk_traced traced;
-    bk_uint lane;
-
-    bk_trace_hits(grid, params, cache, triangles, samples, &traced, out);
-    if (!(params->maps & BK_SECONDARY_MAPS))
-        return;
-    for (lane = 0; lane < BK_WIDTH; lane++) {
-        sums[lane] = bk_no_surroundings();
-        if (out->found >> lane & 1u) {
-            const bk_viewpoint from = bk_viewpoint_of_hit(params, samples, &traced, lane);
-#if BK_WIDTH == 1
-            sums[lane] = bk_look_around(grid, params, cache, &from);
-#else
-            sums[lane] = bk_look_around(grid, params, cache, &from);
-#endif
-        }
-    }
-    bk_surroundings_for_maps(params, &traced.points, sums, out);
 }
 
 BK_FN void bk_copy_lane(const bk_vec3w *from, bk_uint lane, float to[3])

@@ -48,10 +48,12 @@ typedef struct bk_surroundings {
     float solids;    /* number of these distances */
 } bk_surroundings;
 
-/* A point on the surface, and what its rays have in common. */
+/* A point on the surface, and what its rays have in common; index space. */
 typedef struct bk_viewpoint {
-    bk_vec3 position, normal; /* index space; unit, away from the solid */
-    float side;               /* 1, or -1 if the scan's own normal points into the solid */
+    bk_vec3 open_from, solid_from; /* where rays start: above the surface; on it */
+    bk_vec3 normal;                /* unit, away from the solid */
+    bk_vec3 facet; /* unit normal of the triangle, on that side; zero: there is none */
+    float side;    /* 1, or -1 if the scan's own normal points into the solid; 0: no rays start */
     bk_share share;
 } bk_viewpoint;
 
@@ -169,77 +171,26 @@ BK_FN bk_vec3w bk_around(bk_vec3w cone, bk_vec3 n)
 }
 
 /* Returns directions of a point's rays like bk_cone_directions(), around its unit normal or, if
- * they go into the solid, around the opposite one. */
-BK_FN bk_vec3w bk_ray_directions(const bk_rays *rays, bk_share share, bk_vec3 normal, bk_uint first)
+ * they go into the solid, around the opposite one. Those that cross the triangle are mirrored at
+ * it. */
+BK_FN bk_vec3w bk_ray_directions(const bk_rays *rays, const bk_viewpoint *from, bk_uint first)
 {
     const float side = rays->open ? 1.0f : -1.0f;
+    const bk_vec3w d =
+        bk_around(bk_cone_directions(rays, from->share, first), bk_scale(from->normal, side));
+    const bk_vec3w f = bk_splat3(bk_scale(from->facet, side));
+    bk_fw above;
 
-    return bk_around(bk_cone_directions(rays, share, first), bk_scale(normal, side));
+    if (from->facet.x == 0.0f && from->facet.y == 0.0f && from->facet.z == 0.0f)
+        return d;
+    above = bk_dotw(d, f);
+    return bk_select3(bk_less(above, bk_splat(0.0f)), bk_add_scaledw(d, -2.0f * above, f), d);
 }
 
-/* Returns the same directions. Those that cross the triangle whose unit normal is `facet`, on the
- * side of `normal`, are mirrored at it; zero: there is no triangle. */
-BK_FN bk_vec3w bk_hemisphere(const bk_rays *rays, bk_share share, bk_vec3 normal, bk_vec3 facet,
-                             bk_uint first)
+/* Returns where a point's rays start. */
+BK_FN bk_vec3 bk_ray_start(const bk_rays *rays, const bk_viewpoint *from)
 {
-    const bk_fw zero = bk_splat(0.0f);
-    const bk_vec3w f = bk_splat3(bk_scale(facet, rays->open ? 1.0f : -1.0f));
-    const bk_vec3w d = bk_ray_directions(rays, share, normal, first);
-    const bk_fw above = bk_dotw(d, f);
-
-    return bk_select3(bk_less(above, zero), bk_add_scaledw(d, -2.0f * above, f), d);
-}
-
-/* ---- walking through blocks ---- */
-
-/* Returns log2 of the side of the empty block around voxel (x, y, z), or 0 if its block of 4^3 has
- * voxels; *leaf is then the leaf that has them. Secondary rays cross mostly empty space, so blocks
- * of 4^3 and 32^3 voxels are looked up too: the bits of children are in the nodes that were read
- * anyway. */
-BK_FN bk_uint bk_block_at(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y, bk_int z,
-                          bk_uint *leaf)
-{
-    const bk_uint level = bk_locate(grid, cache, x, y, z);
-    const BK_GLOBAL bk_ulong *words;
-    bk_ulong some, bits;
-
-    if (level == 0) {
-        words = grid->leaves + (bk_ulong)cache->leaf * BK_LEAF_WORDS + BK_LEAF_MASK + (x & 4);
-        bits = (bk_ulong)0x0f0f0f0fu << ((y & 4) << 3 | (z & 4));
-        some = (words[0] | words[1] | words[2] | words[3]) & bits;
-        *leaf = cache->leaf;
-        return some ? 0u : 2u;
-    }
-    if (level != BK_LEAF_LOG2)
-        return level;
-    /* A word has 4 x 16 children: those of 4 layers in y. */
-    words = grid->lowers + (bk_ulong)cache->lower * BK_LOWER_WORDS + BK_LOWER_CHILD_MASK;
-    words += (x >> 5 & 3) << 4 | (y >> 5 & 3);
-    bits = ((bk_ulong)0x000f000fu << 32 | 0x000f000fu) << (z >> 3 & 12);
-    some = (words[0] | words[4] | words[8] | words[12]) & bits;
-    return some ? level : 5u;
-}
-
-/* Looks up the blocks of lanes that have left theirs. caches: of each lane. */
-BK_FN void bk_enter_blocks(const bk_grid *grid, bk_cache caches[BK_WIDTH], bk_uint bits,
-                           bk_cursor *cursor)
-{
-    bk_int x[BK_WIDTH], y[BK_WIDTH], z[BK_WIDTH], masks[BK_WIDTH], leaves[BK_WIDTH];
-
-    bk_store_lanes(x, cursor->x);
-    bk_store_lanes(y, cursor->y);
-    bk_store_lanes(z, cursor->z);
-    bk_store_lanes(masks, cursor->mask);
-    bk_store_lanes(leaves, cursor->leaf);
-    for (; bits; bits &= bits - 1u) {
-        const bk_uint lane = bk_first(bits);
-        bk_uint leaf = 0;
-        const bk_uint level = bk_block_at(grid, &caches[lane], x[lane], y[lane], z[lane], &leaf);
-        masks[lane] = ((bk_int)1 << level) - 1;
-        leaves[lane] = (bk_int)leaf;
-    }
-    cursor->mask = bk_load_lanes(masks);
-    cursor->leaf = bk_load_lanes(leaves);
+    return rays->open ? from->open_from : from->solid_from;
 }
 
 /* Ends walks in occupied voxels that they enter at t. */
@@ -250,116 +201,6 @@ BK_FN void bk_stop(bk_walk *walk, bk_mask lanes, bk_fw t)
     walk->hit.found = walk->hit.found | lanes;
     walk->hit.t = bk_select(lanes, t + depth, walk->hit.t);
     walk->side = bk_selecti(lanes, bk_splati(BK_APART), walk->side);
-}
-
-/* Tests the voxels that lanes are in from t to t_out, and ends the runs of lanes in empty blocks.
- * Voxels that are entered at params->coarse or later have a surface if they are occupied. */
-BK_FN void bk_meet_voxels(const bk_grid *grid, const bk_params *params, const bk_ray *ray,
-                          bk_walk *walk, bk_uint active, const bk_cursor *cursor, bk_fw t,
-                          bk_fw t_out)
-{
-    const bk_uint in_leaf = active & bk_bits(cursor->mask == 0);
-    bk_uint occupied = in_leaf ? bk_find_occupied(grid, in_leaf, cursor) : 0;
-    const bk_uint coarse = occupied & bk_bits(bk_not(bk_less(t, bk_splat(params->coarse))));
-    bk_mask ended = bk_mask_of(active & ~occupied);
-    bk_ulong values[BK_WIDTH];
-
-    if (coarse) {
-        bk_stop(walk, bk_mask_of(coarse), t);
-        occupied &= ~coarse;
-    }
-    bk_rank_voxels(grid, occupied, cursor, values);
-    if (occupied)
-        ended = ended | bk_meet_records(grid, ray, walk, occupied, values, cursor, t, t_out);
-    if (bk_bits(ended & (walk->side != BK_APART)))
-        bk_end_run(walk, ended);
-}
-
-/* Returns the layer of an axis in which rays are at t_event, when they cross a border of another
- * axis. They were in layer `from` before, and stay in the aligned block around it; mask = side - 1.
- * Borders of this axis are crossed if their t is smaller and, in the lanes of `ties`, if it is
- * equal. up: of bk_upwards(). The position at t_event may be rounded into the next layer, so the
- * borders decide. */
-BK_FN bk_iw bk_layer_in(bk_iw from, bk_iw mask, bk_iw up, bk_mask ties, bk_fw start,
-                        bk_fw direction, bk_fw inverse, bk_fw t_event, bk_iw base)
-{
-    const bk_iw low = from & ~mask, at = base + bk_to_iw(bk_floorw(start + direction * t_event));
-    const bk_iw crossed = bk_maxi(bk_selecti(up != 0, at - from, from - at), bk_splati(0));
-    /* Borders number `crossed` and the next one, counted along the ray. */
-    const bk_iw layer = bk_selecti(up != 0, from + crossed, from - crossed + 1);
-    const bk_fw last = bk_border(layer, base, start, inverse);
-    const bk_fw next = bk_border(layer - (up | 1), base, start, inverse);
-    const bk_mask over = bk_selecti(ties, bk_less(t_event, last), bk_not(bk_less(last, t_event)));
-    const bk_mask under = bk_selecti(ties, bk_not(bk_less(t_event, next)), bk_less(next, t_event));
-    const bk_iw less = bk_selecti(over & (crossed != 0), bk_splati(1), bk_splati(0));
-    const bk_iw more = bk_selecti(under, bk_splati(1), bk_splati(0));
-    const bk_iw steps = crossed - less + more;
-
-    return bk_mini(bk_maxi(bk_selecti(up != 0, from + steps, from - steps), low), low + mask);
-}
-
-/* Walks rays from walk->t_start to walk->t_limit, like bk_walk_rays(), but in other steps: a step
- * goes through a voxel of an occupied block of 4^3, or through an empty block. Lanes have caches of
- * their own, because rays of a hemisphere part.
- *
- * Borders are crossed in the order of their t and, if these are equal, of their axes. So the voxels
- * that a ray visits do not depend on the size of empty blocks, and a device may skip empty space in
- * another way. */
-BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                          const bk_ray *ray, bk_walk *walk, bk_fw t_near, bk_fw t_far)
-{
-    const bk_vec3w o = ray->start, d = ray->direction, inverse = ray->inverse;
-    const bk_iw up_x = bk_upwards(inverse.x), up_y = bk_upwards(inverse.y);
-    const bk_iw up_z = bk_upwards(inverse.z);
-    const bk_fw t_end = bk_minw(walk->t_limit, t_far);
-    const bk_mask never = bk_mask_of(0);
-    bk_cache caches[BK_WIDTH];
-    bk_cursor cursor;
-    bk_fw t;
-    bk_uint active = bk_begin_walk(params, ray, walk, t_near, t_end, &t, &cursor), lane;
-    const bk_mask walked = bk_mask_of(active);
-
-    if (!active)
-        return;
-    for (lane = 0; lane < BK_WIDTH; lane++)
-        caches[lane] = *cache;
-    bk_enter_blocks(grid, caches, active, &cursor);
-    do {
-        const bk_iw mask = cursor.mask, x = cursor.x, y = cursor.y, z = cursor.z;
-        const bk_iw fx = bk_exit_layer(x, mask, up_x), fy = bk_exit_layer(y, mask, up_y);
-        const bk_iw fz = bk_exit_layer(z, mask, up_z);
-        const bk_fw tx = bk_border(fx, ray->bx, o.x, inverse.x);
-        const bk_fw ty = bk_border(fy, ray->by, o.y, inverse.y);
-        const bk_fw tz = bk_border(fz, ray->bz, o.z, inverse.z);
-        const bk_fw t_event = bk_minw(tx, bk_minw(ty, tz)), t_out = bk_maxw(t, t_event);
-        const bk_mask along_x = bk_not(bk_less(ty, tx)) & bk_not(bk_less(tz, tx));
-        const bk_mask along_y = bk_not(along_x) & bk_not(bk_less(tz, ty));
-        const bk_mask along_z = bk_not(along_x) & bk_not(along_y);
-
-        bk_meet_voxels(grid, params, ray, walk, active, &cursor, t, t_out);
-        cursor.x = bk_selecti(along_x, fx + ~up_x, x);
-        cursor.y = bk_selecti(along_y, fy + ~up_y, y);
-        cursor.z = bk_selecti(along_z, fz + ~up_z, z);
-        if (bk_bits(mask != 0)) {
-            const bk_iw in_x =
-                bk_layer_in(x, mask, up_x, bk_not(along_x), o.x, d.x, inverse.x, t_event, ray->bx);
-            const bk_iw in_y =
-                bk_layer_in(y, mask, up_y, along_z, o.y, d.y, inverse.y, t_event, ray->by);
-            const bk_iw in_z =
-                bk_layer_in(z, mask, up_z, never, o.z, d.z, inverse.z, t_event, ray->bz);
-            cursor.x = bk_selecti(along_x, cursor.x, in_x);
-            cursor.y = bk_selecti(along_y, cursor.y, in_y);
-            cursor.z = bk_selecti(along_z, cursor.z, in_z);
-        }
-        t = t_out;
-        active &= bk_bits(bk_less(t, t_end) & bk_not(walk->hit.found));
-        bk_enter_blocks(
-            grid, caches,
-            active &
-                bk_bits((mask | (((cursor.x ^ x) | (cursor.y ^ y) | (cursor.z ^ z)) & ~3)) != 0),
-            &cursor);
-    } while (active);
-    bk_end_run(walk, walked);
 }
 
 /* Adds what an open ray found. */
@@ -383,68 +224,9 @@ BK_FN bk_surroundings bk_no_surroundings(void)
     return none;
 }
 
-/* Ends the sums of all rays of a point: `open` becomes a mean. */
-BK_FN void bk_end_surroundings(const bk_params *params, bk_surroundings *sums)
-{
-    if (bk_open_rays(params))
-        sums->open = sums->open / (float)(bk_int)bk_open_rays(params);
-    if (sums->solids == 0.0f) {
-        sums->solids = BK_LEAVING_WEIGHT;
-        sums->thickness = BK_LEAVING_WEIGHT * params->thickness_limit;
-    }
-}
-
-/* Returns where a point's rays start. */
-BK_FN bk_vec3 bk_ray_start(const bk_rays *rays, const bk_viewpoint *from)
-{
-    return rays->open ? bk_add_scaled(from->position, BK_LIFT, from->normal) : from->position;
-}
-
-/* Traces the rays of these lanes to the first surface within their limit. Rays that are not open
- * meet only surfaces that face along them. side: of their points. Returns the distance to what they
- * met, in voxels. It is negative for open rays that met nothing, and for rays into the solid that
- * do not count. */
-BK_FN bk_fw bk_look(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                    const bk_rays *rays, bk_vec3w start, bk_vec3w direction, bk_fw side,
-                    bk_uint lanes)
-{
-    const bk_fw limit = bk_splat(rays->limit);
-    const bk_ray ray =
-        bk_ray_along(start, direction, bk_scalew(direction, side), bk_mask_of(lanes));
-    bk_fw t_near, t_far, t;
-    bk_mask through;
-    bk_walk walk;
-
-    bk_bounds(&ray, params, &t_near, &t_far);
-    walk.t_start = bk_splat(0.0f);
-    walk.t_limit = limit;
-    walk.two_sided = bk_mask_of(rays->open ? ~0u : 0u);
-    bk_walk_blocks(grid, params, cache, &ray, &walk, t_near, t_far);
-    through = bk_mask_of(rays->open ? 0u : ~0u) & bk_not(bk_less(t_far, limit));
-    t = bk_select(walk.hit.found, bk_minw(walk.hit.t, limit), limit);
-    return bk_select(walk.hit.found | through, t, bk_splat(-1.0f));
-}
-
-/* Adds what `count` rays have found: results of bk_look(). */
-BK_FN void bk_add_looks(const bk_params *params, const bk_rays *rays, bk_uint count, bk_fw found,
-                        bk_vec3w direction, bk_surroundings *sums)
-{
-    bk_uint lane;
-
-    for (lane = 0; lane < count; lane++) {
-        const float t = bk_lane(found, lane);
-        const bk_uint met = t < 0.0f ? 0u : 1u;
-        if (rays->open) {
-            bk_add_open(params, met, t, bk_lane3(&direction, lane), sums);
-        } else if (met) {
-            sums->thickness += t;
-            sums->solids += 1.0f;
-        }
-    }
-}
-
-/* Adds up what the rays of a point found, as bk_look_around() does. found: of all its rays, open
- * ones first. */
+/* Adds up what the rays of a point found, in the order of rays, so that sums do not depend on
+ * BK_WIDTH. found: the distance of each ray to what it met, open rays first; negative for open rays
+ * that met nothing, and for rays into the solid that do not count. */
 BK_FN bk_surroundings bk_add_up(const bk_params *params, const bk_viewpoint *from,
                                 const BK_GLOBAL float *found)
 {
@@ -459,39 +241,27 @@ BK_FN bk_surroundings bk_add_up(const bk_params *params, const bk_viewpoint *fro
         for (first = 0; first < rays.count; first += BK_WIDTH) {
             const bk_uint left = rays.count - first, count = left < BK_WIDTH ? left : BK_WIDTH;
             bk_vec3w directions = bk_v3w(zero, zero, zero);
-            bk_fw t = zero;
-            for (lane = 0; lane < count; lane++)
-                bk_set_lane(t, lane, found[first + lane]);
-            if (directed)
-                directions = bk_ray_directions(&rays, from->share, from->normal, first);
-            bk_add_looks(params, &rays, count, t, directions, &sums);
+            if (directed && open)
+                directions = bk_ray_directions(&rays, from, first);
+            for (lane = 0; lane < count; lane++) {
+                const float t = found[first + lane];
+                const bk_uint met = t < 0.0f ? 0u : 1u;
+                if (open) {
+                    bk_add_open(params, met, t, bk_lane3(&directions, lane), &sums);
+                } else if (met) {
+                    sums.thickness += t;
+                    sums.solids += 1.0f;
+                }
+            }
         }
         found += rays.count;
     }
-    bk_end_surroundings(params, &sums);
-    return sums;
-}
-
-/* Sends the rays of one point, open ones first. Sums run in the order of rays, so that they do not
- * depend on BK_WIDTH. Both kinds share a loop, since a copy of the walk is long. */
-BK_FN bk_surroundings bk_look_around(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                                     const bk_viewpoint *from)
-{
-    const bk_uint opens = bk_open_rays(params), solids = bk_solid_rays(params);
-    bk_surroundings sums = bk_no_surroundings();
-    bk_uint i = 0;
-
-    while (i < opens + solids) {
-        const bk_rays rays = bk_rays_of(params, i < opens);
-        const bk_uint first = rays.open ? i : i - opens;
-        const bk_uint count = rays.count - first < BK_WIDTH ? rays.count - first : BK_WIDTH;
-        const bk_vec3w direction = bk_ray_directions(&rays, from->share, from->normal, first);
-        const bk_fw t = bk_look(grid, params, cache, &rays, bk_splat3(bk_ray_start(&rays, from)),
-                                direction, bk_splat(from->side), (1u << count) - 1u);
-        bk_add_looks(params, &rays, count, t, direction, &sums);
-        i += count;
+    if (bk_open_rays(params))
+        sums.open = sums.open / (float)(bk_int)bk_open_rays(params);
+    if (sums.solids == 0.0f) {
+        sums.solids = BK_LEAVING_WEIGHT;
+        sums.thickness = BK_LEAVING_WEIGHT * params->thickness_limit;
     }
-    bk_end_surroundings(params, &sums);
     return sums;
 }
 

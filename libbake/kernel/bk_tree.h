@@ -4,8 +4,7 @@
  * leaf_tree.h describes the nodes. A ray descends into the children of a node whose boxes it meets,
  * those first that lie towards its start. Boxes are tested with a margin for rounding. In a block
  * of 4^3 voxels, the ray goes from voxel to voxel (Amanatides & Woo, "A Fast Voxel Traversal
- * Algorithm for Ray Tracing", 1987), by the borders that bk_walk_blocks() computes. bk_visit.h
- * tests the records of voxels. */
+ * Algorithm for Ray Tracing", 1987). bk_visit.h tests the records of voxels. */
 #ifndef BAKE_KERNEL_BK_TREE_H
 #define BAKE_KERNEL_BK_TREE_H
 
@@ -42,7 +41,7 @@ typedef struct bk_tree_walk {
      * that are entered later, by t and then by axis, do not count. */
     float t_stop;
     bk_int stop_axis;
-    float result; /* as bk_look() returns it */
+    float result; /* see bk_add_up() */
     bk_uint octant;
     /* What is still to visit: children of a node, or blocks of a leaf, one bit each. */
     bk_uint node; /* the first child; of blocks their leaf's node */
@@ -55,7 +54,8 @@ typedef struct bk_tree_walk {
 BK_FN void bk_tree_begin(const bk_params *params, const bk_rays *rays, const bk_viewpoint *from,
                          bk_vec3w direction, bk_tree_walk *walk)
 {
-    const bk_vec3w start = bk_splat3(bk_ray_start(rays, from));
+    const bk_vec3 point = bk_ray_start(rays, from);
+    const bk_vec3w start = bk_splat3(point);
     const bk_int *low = params->index_min, *high = params->index_max;
     bk_visits *visits = &walk->visits;
     float t_near, t_far;
@@ -75,12 +75,9 @@ BK_FN void bk_tree_begin(const bk_params *params, const bk_rays *rays, const bk_
     walk->t_before = visits->t_begin < visits->t_end ? visits->t_end : -0.5f * BK_FAR;
     walk->t_stop = visits->t_end;
     walk->stop_axis = 3;
-    walk->margin.x =
-        bk_abs(visits->ray.inverse.x) * bk_tree_margin(low[0], high[0], from->position.x);
-    walk->margin.y =
-        bk_abs(visits->ray.inverse.y) * bk_tree_margin(low[1], high[1], from->position.y);
-    walk->margin.z =
-        bk_abs(visits->ray.inverse.z) * bk_tree_margin(low[2], high[2], from->position.z);
+    walk->margin.x = bk_abs(visits->ray.inverse.x) * bk_tree_margin(low[0], high[0], point.x);
+    walk->margin.y = bk_abs(visits->ray.inverse.y) * bk_tree_margin(low[1], high[1], point.y);
+    walk->margin.z = bk_abs(visits->ray.inverse.z) * bk_tree_margin(low[2], high[2], point.z);
     walk->octant = (bk_uint)(~bk_upwards(visits->ray.inverse.x) & 4) |
                    (bk_uint)(~bk_upwards(visits->ray.inverse.y) & 2) |
                    (bk_uint)(~bk_upwards(visits->ray.inverse.z) & 1);
@@ -334,7 +331,7 @@ BK_FN bk_uint bk_tree_resume(bk_tree_walk *walk)
     return 1;
 }
 
-/* Traces a ray of a point. Returns what bk_look() does. */
+/* Traces a ray of a point. Returns what it found, see bk_add_up(). */
 BK_FN float bk_tree_look(const bk_grid *grid, const bk_params *params, const bk_rays *rays,
                          const bk_viewpoint *from, bk_vec3w direction)
 {
@@ -358,7 +355,7 @@ BK_FN float bk_tree_look(const bk_grid *grid, const bk_params *params, const bk_
     return walk.result;
 }
 
-/* Traces ray number `ray` of a stored viewpoint, open ones first. found: what bk_look() returns. */
+/* Traces ray number `ray` of a stored viewpoint, open ones first. found: see bk_add_up(). */
 BK_FN void bk_look_from(const bk_grid *grid, const bk_params *params,
                         const BK_GLOBAL bk_viewpoint *stored, bk_uint ray, BK_GLOBAL float *found)
 {
@@ -367,9 +364,8 @@ BK_FN void bk_look_from(const bk_grid *grid, const bk_params *params,
     const bk_rays rays = bk_rays_of(params, ray < opens);
 
     if (from.side != 0.0f)
-        *found = bk_tree_look(
-            grid, params, &rays, &from,
-            bk_ray_directions(&rays, from.share, from.normal, rays.open ? ray : ray - opens));
+        *found = bk_tree_look(grid, params, &rays, &from,
+                              bk_ray_directions(&rays, &from, rays.open ? ray : ray - opens));
 }
 
 #endif

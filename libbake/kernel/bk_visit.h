@@ -8,7 +8,8 @@
  *  - Near voxels whose surface faces away from a ray into the solid only end runs, which the
  *    voxels before them see. So they need not be tested.
  *
- * So voxels can be found through a tree, and rays hit what bk_walk_blocks() finds. */
+ * So voxels can be found through a tree, in any order, and rays hit what they would hit if they
+ * went from voxel to voxel. */
 #ifndef BAKE_KERNEL_BK_VISIT_H
 #define BAKE_KERNEL_BK_VISIT_H
 

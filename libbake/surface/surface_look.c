@@ -19,6 +19,9 @@ struct bake_look {
     struct bk_params params; /* with lengths in world units */
     struct bake_ray_states states;
     struct bake_exact_look *kept; /* of the only scan, if that has triangles */
+    struct bake_tree *trees;      /* of each scan that is a grid */
+    struct bake_native_workers workers;
+    float *found; /* of each worker: what the rays of a hit found, see bk_add_up() */
 };
 
 /* Hits as one of the scans sees them. */
@@ -54,27 +57,30 @@ static double lift_of(const struct bake_surface *surface, uint32_t scan)
 
 /* Sets the viewpoint of a hit in a space given by its origin and its unit. */
 static void set_viewpoint(const struct view *view, uint64_t index, const double translation[3],
-                          double unit, double lift, struct bake_viewpoint *out)
+                          double unit, double lift, bk_viewpoint *out)
 {
     const struct bake_surface *surface = view->look->surface;
     const struct bake_exact_ray *ray = &view->hits->rays[index];
     const struct bake_exact_hit *hit = &view->hits->hits[index];
     const float *facet = hit->facet;
     const float *up = facet[0] != 0 || facet[1] != 0 || facet[2] != 0 ? facet : hit->normal;
+    float on[3], above[3];
     for (int k = 0; k < 3; k++) {
         const double at =
             (double)ray->origin[k] * surface->unit + hit->t * (double)ray->direction[k];
         const double p = (at + (surface->translation[k] - translation[k])) / unit;
-        out->solid_from[k] = (float)p;
-        out->open_from[k] = (float)(p + lift / unit * (double)up[k]);
+        on[k] = (float)p;
+        above[k] = (float)(p + lift / unit * (double)up[k]);
     }
-    memcpy(out->normal, hit->normal, sizeof out->normal);
-    memcpy(out->facet, facet, sizeof out->facet);
-    out->reversed = hit->reversed;
-    out->share = view->hits->shares[index];
+    *out = (bk_viewpoint){.open_from = bk_v3(above[0], above[1], above[2]),
+                          .solid_from = bk_v3(on[0], on[1], on[2]),
+                          .normal = bk_v3(hit->normal[0], hit->normal[1], hit->normal[2]),
+                          .facet = bk_v3(facet[0], facet[1], facet[2]),
+                          .side = hit->reversed ? -1.0f : 1.0f,
+                          .share = view->hits->shares[index]};
 }
 
-static bool get_viewpoint(const void *arg, uint64_t index, struct bake_viewpoint *out)
+static bool get_viewpoint(const void *arg, uint64_t index, bk_viewpoint *out)
 {
     const struct view *view = arg;
     const struct bake_surface *surface = view->look->surface;
@@ -91,14 +97,15 @@ static bool get_viewpoint(const void *arg, uint64_t index, struct bake_viewpoint
 
 static int look_task(void *arg, uint64_t task, unsigned worker)
 {
-    (void)worker;
     const struct view *view = arg;
-    const struct bake_scan *scan = &view->look->surface->scans[view->scan];
+    const struct bake_look *look = view->look;
+    const struct bake_scan *scan = &look->surface->scans[view->scan];
     const struct bake_viewpoints *viewpoints = &view->viewpoints;
     const uint64_t begin = task * HITS_A_TASK, left = viewpoints->count - begin;
     const uint64_t end = begin + (left < HITS_A_TASK ? left : HITS_A_TASK);
     const double each = (double)viewpoints->progress / (double)viewpoints->count;
-    bake_trace_viewpoints(&scan->grid, &scan->params, viewpoints, begin, end, &view->look->states);
+    bake_trace_viewpoints(&scan->grid, &look->trees[view->scan], &scan->params, viewpoints, begin,
+                          end, &look->workers, worker, &look->states);
     bsq_progress_add(scan->ctx, (uint64_t)(each * (double)end) - (uint64_t)(each * (double)begin));
     return 0;
 }
@@ -144,52 +151,55 @@ static double leaving(const float origin[3], const float direction[3], const dou
     return t;
 }
 
-/* Returns what is known of ray `number` of a viewpoint, as bk_look() returns it. A ray into the
- * solid that leaves the bounds of all scans within its limit has missed the solid's other side. */
-static float found_by(const struct bake_ray_states *states, const bk_rays *kind, uint64_t index,
-                      uint32_t number, double leaves)
+/* Returns what ray `number` of a viewpoint has found. A ray into the solid that leaves the bounds
+ * of all scans within its limit has missed the solid's other side. */
+static float found_by(const struct bake_ray_states *states, const bk_rays *kind,
+                      const bk_viewpoint *viewpoint, uint64_t index, uint32_t number,
+                      const double low[3], const double high[3])
 {
     if (kind->open && states->words > 0)
         return bake_hidden_rays(states, index)[number / 64] >> (number % 64) & 1 ? 0.0f : -1.0f;
     const float t = bake_ray_distances(states, index, kind->open)[number];
     if (t < INFINITY)
         return kind->open ? t : fminf(t, kind->limit);
-    return kind->open || leaves < (double)kind->limit ? -1.0f : kind->limit;
+    if (kind->open)
+        return -1.0f;
+    const bk_vec3w d = bk_ray_directions(kind, viewpoint, number);
+    const float from[3] = {viewpoint->solid_from.x, viewpoint->solid_from.y,
+                           viewpoint->solid_from.z};
+    return leaving(from, (float[3]){d.x, d.y, d.z}, low, high) < (double)kind->limit ? -1.0f
+                                                                                     : kind->limit;
 }
 
 /* Sums what the rays of a viewpoint found. index: of its state. low, high: bounds of all scans that
- * it sees. The viewpoint, the bounds and the lengths of params are in world units. */
-static struct bk_surroundings sum_rays(const struct bake_look *look,
-                                       const struct bake_viewpoint *viewpoint, uint64_t index,
-                                       const double low[3], const double high[3])
+ * it sees. The viewpoint, the bounds and the lengths of params are in world units. found: space for
+ * a value of each ray. */
+static bk_surroundings sum_rays(const struct bake_look *look, const bk_viewpoint *viewpoint,
+                                uint64_t index, const double low[3], const double high[3],
+                                float *found)
 {
-    struct bk_surroundings sums = bk_no_surroundings();
+    uint32_t at = 0;
     for (uint32_t open = 2; open-- > 0;) {
         const bk_rays kind = bk_rays_of(&look->params, open);
-        for (uint32_t r = 0; r < kind.count; r++) {
-            float from[3], d[3];
-            bake_viewpoint_ray(&look->params, viewpoint, open, r, from, d);
-            const double leaves = open ? 0 : leaving(from, d, low, high);
-            bk_add_looks(&look->params, &kind, 1, found_by(&look->states, &kind, index, r, leaves),
-                         bk_v3w(d[0], d[1], d[2]), &sums);
-        }
+        for (uint32_t r = 0; r < kind.count; r++)
+            found[at++] = found_by(&look->states, &kind, viewpoint, index, r, low, high);
     }
-    bk_end_surroundings(&look->params, &sums);
-    return sums;
+    return bk_add_up(&look->params, viewpoint, found);
 }
 
 /* ---- all scans ---- */
 
 static int sum_task(void *arg, uint64_t task, unsigned worker)
 {
-    (void)worker;
     const struct view *view = arg;
-    const struct bake_surface *surface = view->look->surface;
+    const struct bake_look *look = view->look;
+    const struct bake_surface *surface = look->surface;
+    float *found = look->found + worker * (uint64_t)bk_ray_count(&look->params);
     const uint64_t begin = task * HITS_A_TASK, left = view->count - begin;
     for (uint64_t i = begin; i < begin + (left < HITS_A_TASK ? left : HITS_A_TASK); i++) {
         const uint64_t index = view->first + i;
         double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
-        struct bake_viewpoint viewpoint;
+        bk_viewpoint viewpoint;
         view->out[index] = bk_no_surroundings();
         if (view->hits->hits[index].triangle == BAKE_EXACT_NONE)
             continue;
@@ -199,7 +209,7 @@ static int sum_task(void *arg, uint64_t task, unsigned worker)
                 high[k] = fmax(high[k], surface->scans[s].scan_max[k] - surface->translation[k]);
             }
         set_viewpoint(view, index, surface->translation, 1, 0, &viewpoint);
-        view->out[index] = sum_rays(view->look, &viewpoint, i, low, high);
+        view->out[index] = sum_rays(look, &viewpoint, i, low, high, found);
         view->out[index].thickness /= (float)surface->unit;
     }
     return 0;
@@ -246,6 +256,26 @@ int bake_look_around(struct bake_look *look, const struct bake_look_hits *hits,
 
 /* ---- memory ---- */
 
+/* Makes the trees of scans that are grids, and the memory of workers. */
+static int create_trees(struct bake_look *look)
+{
+    const struct bake_surface *surface = look->surface;
+    struct bsq_ctx *ctx = surface->ctx;
+    int status;
+    BSQ_TRY(bsq_alloc(ctx, "results of rays",
+                      bsq_threads(ctx) * (uint64_t)bk_ray_count(&look->params), sizeof *look->found,
+                      &look->found));
+    BSQ_TRY(
+        bsq_calloc(ctx, "trees of leaves", surface->scan_count, sizeof *look->trees, &look->trees));
+    for (uint32_t s = 0; s < surface->scan_count; s++)
+        if (!surface->scans[s].exact)
+            BSQ_TRY(bake_tree_build(ctx, &surface->scans[s].grid, &look->trees[s]));
+    if (surface->grids)
+        status = bake_native_workers_create(ctx, &look->params, &look->workers);
+done:
+    return status;
+}
+
 /* The states take an eighth of what is left, or as much as `most` hits need. */
 static int create_states(struct bake_look *look, uint64_t most)
 {
@@ -282,7 +312,9 @@ int bake_look_create(const struct bake_surface *surface, uint64_t most, struct b
     look->params.unit = 1;
     look->params.open_limit = (float)((double)look->params.open_limit * surface->unit);
     look->params.thickness_limit = (float)((double)look->params.thickness_limit * surface->unit);
-    status = create_states(look, most);
+    status = create_trees(look);
+    if (status == 0)
+        status = create_states(look, most);
     if (status == 0 && surface->scan_count == 1 && scan->exact)
         status = bake_exact_look_create(scan->exact, &scan->params, &look->kept);
     if (status < 0)
@@ -299,6 +331,11 @@ void bake_look_free(struct bake_look *look)
         return;
     struct bsq_ctx *ctx = look->surface->ctx;
     bake_exact_look_free(look->kept);
+    for (uint32_t s = 0; look->trees && s < look->surface->scan_count; s++)
+        bake_tree_free(ctx, &look->trees[s]);
+    bsq_free(ctx, look->trees);
+    bake_native_workers_free(ctx, &look->workers);
+    bsq_free(ctx, look->found);
     bsq_free(ctx, look->states.hidden);
     bsq_free(ctx, look->states.distances);
     bsq_free(ctx, look);

@@ -54,9 +54,8 @@ static void trace_arrays(const struct bake_job *job)
     const uint32_t samples[TEXELS] = {0};
     float texels[TEXELS][SUMS];
     char *arrays[BAKE_GRID_ARRAYS];
-    const struct bake_tree none = {0};
     struct bake_grid_arrays list;
-    bake_list_arrays(job, &none, &list);
+    bake_list_arrays(job, &list);
     load(&list, arrays);
     const struct bk_grid grid = grid_of(arrays, &list.params);
     bake_native_patch_base(&grid, &list.params, job->triangles, &patch, 0, SIDE, samples,

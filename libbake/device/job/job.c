@@ -95,11 +95,11 @@ static void set_offsets(const struct fmt_nvdb_grid *grid, struct bk_params *para
     device_job_split(colors + ids, params->channel_offset);
 }
 
-void bake_list_arrays(const struct bake_job *job, const struct bake_tree *tree,
-                      struct bake_grid_arrays *out)
+void bake_list_arrays(const struct bake_job *job, struct bake_grid_arrays *out)
 {
     const struct fmt_nvdb_grid *g = job->grid;
-    const uint64_t leaves = tree->nodes ? g->leaf_count : 0;
+    const struct bake_tree tree = job->tree ? *job->tree : (struct bake_tree){0};
+    const uint64_t leaves = tree.nodes ? g->leaf_count : 0;
     const uint64_t records = g->record_count * sizeof(uint32_t);
     const uint64_t transfers = g->transfer_count * sizeof *g->transfers;
     const bool colors = g->colors || g->ids || g->channels || transfers > 0;
@@ -119,8 +119,8 @@ void bake_list_arrays(const struct bake_job *job, const struct bake_tree *tree,
                               {g->ids, g->ids ? records : 0},
                               {g->channels, g->channels ? records * g->channel_words : 0}}},
             [BAKE_SECONDS] = {"second records", {{g->seconds, (g->voxel_count / 32 + 1) * 8}}},
-            [BAKE_NODES] = {"tree of leaves", {{tree->nodes, tree->count * sizeof *tree->nodes}}},
-            [BAKE_BLOCKS] = {"blocks of leaves", {{tree->blocks, leaves * sizeof *tree->blocks}}}}};
+            [BAKE_NODES] = {"tree of leaves", {{tree.nodes, tree.count * sizeof *tree.nodes}}},
+            [BAKE_BLOCKS] = {"blocks of leaves", {{tree.blocks, leaves * sizeof *tree.blocks}}}}};
     set_offsets(g, &out->params);
     for (int i = 0; i < BAKE_GRID_ARRAYS; i++) {
         struct bake_grid_array *array = &out->arrays[i];

@@ -20,6 +20,7 @@ struct bake_job {
     uint32_t triangle_count;
     uint32_t patch_texels;  /* largest width * height of a patch */
     uint64_t device_memory; /* limit for a device's own memory, in bytes; 0: all that is free */
+    const struct bake_tree *tree; /* for secondary rays, else NULL; bake_device_open() makes it */
     struct bk_params params;
 };
 
@@ -72,10 +73,9 @@ struct bake_grid_arrays {
     struct bk_params params; /* the job's, for these arrays */
 };
 
-/* Lists the arrays of a job's grid and of the tree around its leaves, which stay valid while both
- * exist. A tree without nodes is left out. Allocates nothing. */
-void bake_list_arrays(const struct bake_job *job, const struct bake_tree *tree,
-                      struct bake_grid_arrays *out);
+/* Lists the arrays of a job's grid and of its tree, if there is one, which stay valid while both
+ * exist. Allocates nothing. */
+void bake_list_arrays(const struct bake_job *job, struct bake_grid_arrays *out);
 
 /* Rays of a grid with one range of t and one facing rule: of the hits with t in [t_min, t_max] the
  * one that bk_nearest() chooses wins. Surfaces that face the other way are ignored, unless

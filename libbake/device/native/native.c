@@ -1,17 +1,16 @@
 /* native.c - traces patches on the calling thread, with the widest lanes that the processor has. */
 #include "libbake/device/native/native.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 #include <unistd.h>
 
 #include "libbake/device/native/native_code.h"
 #include "libbake/device/native/tree_rays.h"
+#include "libbake/secondary/secondary.h"
 
 enum { PAIRS_PER_BAND = 1 << 18 };
-
-/* The tree of leaves may take 1 / TREE_PART of the budget that is left. */
-enum { TREE_PART = 4 };
 
 struct native {
     struct bake_backend base;
@@ -20,11 +19,16 @@ struct native {
     struct bk_params params;
     const struct bk_triangle *triangles;
     bake_native_patch_fn *patch;
-    struct bake_tree tree;            /* for secondary rays */
-    struct bake_tree_stream *streams; /* of each worker; NULL: there is no tree */
-    float *results;                   /* of each worker: of the rays of BAKE_NATIVE_HITS hits */
-    uint64_t worker_results;
+    const struct bake_tree *tree; /* for secondary rays; NULL: there are none */
+    struct bake_native_workers workers;
 };
+
+static struct bake_native_memory
+memory_of(const struct bake_tree *tree, const struct bake_native_workers *workers, unsigned worker)
+{
+    return (struct bake_native_memory){tree, &workers->streams[worker],
+                                       workers->results + worker * workers->results_each};
+}
 
 /* Returns the rows of a band. A patch can have many millions of pairs of rays, so native_trace()
  * checks for an interruption after each band. A band has whole squares of texels, or is a single
@@ -42,13 +46,11 @@ static int native_trace(struct bake_backend *backend, const struct bk_patch *pat
     const uint64_t texel_samples = (uint64_t)native->params.samples * native->params.samples;
     const uint32_t rows =
         band_rows(patch->width * texel_samples * bake_sample_cost(&native->params));
-
-    struct bake_native_memory memory = {0};
+    const struct bake_native_memory memory = native->tree
+                                                 ? memory_of(native->tree, &native->workers, worker)
+                                                 : (struct bake_native_memory){0};
 
     (void)why;
-    if (native->streams)
-        memory = (struct bake_native_memory){&native->tree, &native->streams[worker],
-                                             native->results + worker * native->worker_results};
     for (uint32_t row = 0; row < patch->height; row += rows) {
         const uint32_t end = patch->height - row < rows ? patch->height : row + rows;
         int status = bsq_check(native->ctx);
@@ -64,33 +66,8 @@ static void native_close(struct bake_backend *backend)
 {
     struct native *native = (struct native *)backend;
 
-    bake_tree_free(native->ctx, &native->tree);
-    bsq_free(native->ctx, native->streams);
-    bsq_free(native->ctx, native->results);
+    bake_native_workers_free(native->ctx, &native->workers);
     bsq_free(native->ctx, native);
-}
-
-/* Makes the tree of leaves, if there are secondary rays and memory for it. */
-static int native_make_tree(struct native *native, const struct fmt_nvdb_grid *grid)
-{
-    const unsigned threads = bsq_threads(native->ctx);
-    const uint64_t rays = (uint64_t)bk_open_rays(&native->params) + bk_solid_rays(&native->params);
-    const uint64_t limit = bsq_memory_share(native->ctx, "tree around leaves", TREE_PART);
-    uint64_t bytes;
-
-    native->worker_results = BAKE_NATIVE_HITS * rays;
-    bytes = threads * (sizeof *native->streams + native->worker_results * sizeof(float));
-    if (rays == 0 || bytes > limit)
-        return 0;
-    int status = bake_tree_build(native->ctx, grid, limit - bytes, &native->tree);
-    if (status < 0 || !native->tree.nodes)
-        return status;
-    status = bsq_alloc(native->ctx, "results of rays", threads * native->worker_results,
-                       sizeof *native->results, &native->results);
-    if (status == 0)
-        status = bsq_alloc(native->ctx, "streams of rays", threads, sizeof *native->streams,
-                           &native->streams);
-    return status;
 }
 
 void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
@@ -102,15 +79,77 @@ void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *p
     BSQ_SIMD_PICK(bsq_simd_best(), bake_native_rays)(&native, params, rays, hits);
 }
 
-void bake_trace_viewpoints(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                           const struct bake_viewpoints *viewpoints, uint64_t begin, uint64_t end,
-                           struct bake_ray_states *states)
+/* Returns how many results the rays of BAKE_NATIVE_HITS viewpoints have. */
+static uint64_t native_results(const struct bk_params *params)
 {
+    return BAKE_NATIVE_HITS * ((uint64_t)bk_open_rays(params) + bk_solid_rays(params));
+}
+
+/* Notes what a ray of a viewpoint met, after t voxels of a size. A ray into the solid that is as
+ * long as it may be tells nothing of other scans. */
+static void native_note_hit(const struct bake_ray_states *states, uint64_t viewpoint,
+                            const bk_rays *kind, uint32_t ray, float t, double unit)
+{
+    float *distance;
+
+    if (t < 0.0f || (!kind->open && t >= kind->limit))
+        return;
+    if (kind->open && states->words > 0) {
+        bake_hidden_rays(states, viewpoint)[ray / 64] |= UINT64_C(1) << ray % 64;
+        return;
+    }
+    distance = bake_ray_distances(states, viewpoint, kind->open) + ray;
+    *distance = fminf(*distance, (float)((double)t * unit));
+}
+
+void bake_trace_viewpoints(const struct fmt_nvdb_grid *grid, const struct bake_tree *tree,
+                           const struct bk_params *params, const struct bake_viewpoints *viewpoints,
+                           uint64_t begin, uint64_t end, const struct bake_native_workers *workers,
+                           unsigned worker, const struct bake_ray_states *states)
+{
+    const struct bake_native_memory memory = memory_of(tree, workers, worker);
+    bk_viewpoint points[BAKE_NATIVE_HITS];
+    uint64_t numbers[BAKE_NATIVE_HITS];
     struct bk_grid native;
 
     bake_kernel_grid(grid, params, &native);
-    BSQ_SIMD_PICK(bsq_simd_best(), bake_native_look)
-    (&native, params, viewpoints, begin, end, states);
+    while (begin < end) {
+        uint32_t count = 0;
+        for (; begin < end && count < BAKE_NATIVE_HITS; begin++) {
+            numbers[count] = begin;
+            count += viewpoints->get(viewpoints->arg, begin, &points[count]);
+        }
+        for (uint32_t open = 0; open < 2; open++) {
+            const bk_rays kind = bk_rays_of(params, open);
+            BSQ_SIMD_PICK(bsq_simd_best(), bake_tree_look)
+            (&native, params, tree, &kind, points, count, memory.results, kind.count,
+             memory.stream);
+            for (uint64_t i = 0; i < (uint64_t)count * kind.count; i++)
+                native_note_hit(states, numbers[i / kind.count], &kind, (uint32_t)(i % kind.count),
+                                memory.results[i], viewpoints->unit);
+        }
+    }
+}
+
+int bake_native_workers_create(struct bsq_ctx *ctx, const struct bk_params *params,
+                               struct bake_native_workers *out)
+{
+    const unsigned threads = bsq_threads(ctx);
+    int status;
+
+    *out = (struct bake_native_workers){.results_each = native_results(params)};
+    status = bsq_alloc(ctx, "results of rays", threads * out->results_each, sizeof *out->results,
+                       &out->results);
+    if (status == 0)
+        status = bsq_alloc(ctx, "streams of rays", threads, sizeof *out->streams, &out->streams);
+    return status;
+}
+
+void bake_native_workers_free(struct bsq_ctx *ctx, struct bake_native_workers *workers)
+{
+    bsq_free(ctx, workers->streams);
+    bsq_free(ctx, workers->results);
+    *workers = (struct bake_native_workers){0};
 }
 
 static void native_list(struct bsq_ctx *ctx, struct bake_device_list *out)
@@ -144,7 +183,9 @@ static int native_open(struct bsq_ctx *ctx, uint32_t number, const struct bake_j
     native->params = job->params;
     native->triangles = job->triangles;
     native->patch = BSQ_SIMD_PICK(bsq_simd_best(), bake_native_patch);
-    status = native_make_tree(native, job->grid);
+    native->tree = job->tree;
+    if (job->tree)
+        status = bake_native_workers_create(ctx, &job->params, &native->workers);
     if (status < 0)
         native_close(&native->base);
     else

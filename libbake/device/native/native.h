@@ -15,10 +15,26 @@ extern const struct bake_device_kind bake_native_kind;
 void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
                      const struct bake_ray_batch *rays, struct bk_hit *hits);
 
+/* Memory of the workers that trace secondary rays. */
+struct bake_tree_stream;
+struct bake_native_workers {
+    struct bake_tree_stream *streams;
+    float *results; /* results_each for each worker */
+    uint64_t results_each;
+};
+
+/* Allocates memory for bsq_threads() workers that trace the rays that params ask for. The caller
+ * frees it, also after a failure. Errors: BSQ_ENOMEM. */
+int bake_native_workers_create(struct bsq_ctx *ctx, const struct bk_params *params,
+                               struct bake_native_workers *out);
+void bake_native_workers_free(struct bsq_ctx *ctx, struct bake_native_workers *workers);
+
 /* Traces the rays of viewpoints begin to end - 1 on the calling thread, and notes in their states
- * what the grid adds to other parts of the surface. params: maps, counts and lengths of rays. */
-void bake_trace_viewpoints(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                           const struct bake_viewpoints *viewpoints, uint64_t begin, uint64_t end,
-                           struct bake_ray_states *states);
+ * what the grid adds to other parts of the surface. tree: of the grid. params: maps, counts and
+ * lengths of rays. worker: number of the calling thread. */
+void bake_trace_viewpoints(const struct fmt_nvdb_grid *grid, const struct bake_tree *tree,
+                           const struct bk_params *params, const struct bake_viewpoints *viewpoints,
+                           uint64_t begin, uint64_t end, const struct bake_native_workers *workers,
+                           unsigned worker, const struct bake_ray_states *states);
 
 #endif

@@ -4,7 +4,6 @@
 
 #include "base/simd/simd.h"
 #include "libbake/device/job/job.h"
-#include "libbake/secondary/secondary.h"
 
 /* Side in texels of the squares that a patch is traced in: what they share of the grid stays in the
  * first-level cache. */
@@ -13,8 +12,7 @@ enum { BAKE_NATIVE_SQUARE = 8 };
 struct bake_tree;
 struct bake_tree_stream;
 
-/* What secondary rays need to go through the tree of leaves; all NULL: they walk through
- * the grid's nodes, with equal results. */
+/* What secondary rays go through; all NULL: there are none. */
 struct bake_native_memory {
     const struct bake_tree *tree;
     struct bake_tree_stream *stream;
@@ -25,7 +23,7 @@ enum { BAKE_NATIVE_HITS = 16 }; /* the largest BK_WIDTH of any instruction set *
 
 /* Traces rows first_row to end_row - 1 of a patch on the calling thread, as the kernel does on
  * other devices. sample_triangles and texels hold the whole patch, which has width * height texels
- * of bk_texel_floats(params->maps) floats. The texels do not depend on `memory`. */
+ * of bk_texel_floats(params->maps) floats. */
 typedef void bake_native_patch_fn(const struct bk_grid *grid, const struct bk_params *params,
                                   const struct bk_triangle *triangles, const struct bk_patch *patch,
                                   uint32_t first_row, uint32_t end_row,
@@ -37,12 +35,5 @@ BSQ_SIMD_DECLARE(bake_native_patch_fn, bake_native_patch);
 typedef void bake_native_rays_fn(const struct bk_grid *grid, const struct bk_params *params,
                                  const struct bake_ray_batch *rays, struct bk_hit *hits);
 BSQ_SIMD_DECLARE(bake_native_rays_fn, bake_native_rays);
-
-/* Traces the rays of viewpoints begin to end - 1 on the calling thread, and notes in their states
- * what the grid adds. */
-typedef void bake_native_look_fn(const struct bk_grid *grid, const struct bk_params *params,
-                                 const struct bake_viewpoints *viewpoints, uint64_t begin,
-                                 uint64_t end, struct bake_ray_states *states);
-BSQ_SIMD_DECLARE(bake_native_look_fn, bake_native_look);
 
 #endif

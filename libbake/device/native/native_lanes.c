@@ -1,4 +1,4 @@
-/* native_lanes.c - traces a patch, or rays, or secondary rays, BK_WIDTH at a time. */
+/* native_lanes.c - traces a patch, or rays, BK_WIDTH at a time. */
 #include <string.h>
 
 #include "base/simd/simd.h"
@@ -17,14 +17,13 @@ struct group {
     bk_samples samples;
     uint32_t texel_floats;
     float offsets[BAKE_MAX_SAMPLES]; /* of a texel's samples along an axis, from its corner */
-    /* Without a tree, secondary rays walk through the grid's nodes. */
     struct bake_native_memory memory;
 };
 
 /* ---- secondary rays ---- */
 
-/* Traces the samples of a group and the rays from their hits, with the tree of leaves. */
-static void trace_with_tree(struct group *group, bk_map_hits *hits)
+/* Traces the samples of a group and the rays from their hits. */
+static void trace_secondary(struct group *group, bk_map_hits *hits)
 {
     const struct bake_native_memory *memory = &group->memory;
     const struct bk_params *params = group->params;
@@ -62,14 +61,15 @@ static void trace_with_tree(struct group *group, bk_map_hits *hits)
 static void trace_group(struct group *group)
 {
     bk_map_hits hits;
+    bk_traced traced;
 
     if (group->samples.count == 0)
         return;
     if (group->memory.tree)
-        trace_with_tree(group, &hits);
+        trace_secondary(group, &hits);
     else
-        bk_trace_samples(group->grid, group->params, &group->cache, group->triangles,
-                         &group->samples, &hits);
+        bk_trace_hits(group->grid, group->params, &group->cache, group->triangles, &group->samples,
+                      &traced, &hits);
     for (bk_uint lane = 0; lane < group->samples.count; lane++)
         bk_add_sample(group->params, &hits, lane, group->samples.texel[lane]);
     group->samples.count = 0;
@@ -191,80 +191,4 @@ void BSQ_SIMD_NAME(bake_native_rays)(const struct bk_grid *grid, const struct bk
         for (bk_uint lane = 0; lane < lines.count; lane++)
             get_hit(&found, lane, &hits[first + lane]);
     }
-}
-
-/* ---- secondary rays ---- */
-
-struct view {
-    const struct bk_grid *grid;
-    const struct bk_params *params;
-    struct bake_ray_states *states;
-    double unit; /* of index space, in world units */
-    bk_cache cache;
-};
-
-/* Returns the lanes of a viewpoint's rays `first` and following ones of which more can be known. */
-static bk_uint wanted(const struct bake_ray_states *states, uint64_t viewpoint, const bk_rays *kind,
-                      bk_uint first)
-{
-    const bk_uint left = kind->count - first;
-    const bk_uint lanes = (1u << (left < BK_WIDTH ? left : BK_WIDTH)) - 1;
-    if (!kind->open || states->words == 0)
-        return lanes;
-    /* BK_WIDTH divides 64. */
-    return lanes & ~(bk_uint)(bake_hidden_rays(states, viewpoint)[first / 64] >> first % 64);
-}
-
-/* Notes what a ray of a viewpoint met, after t voxels. A ray into the solid that is as long as it
- * may be tells nothing of other scans. */
-static void native_lanes_note_hit(const struct view *view, uint64_t viewpoint, const bk_rays *kind,
-                                  bk_uint ray, float t)
-{
-    const struct bake_ray_states *states = view->states;
-    if (t < 0.0f || (!kind->open && t >= kind->limit))
-        return;
-    if (kind->open && states->words > 0) {
-        bake_hidden_rays(states, viewpoint)[ray / 64] |= UINT64_C(1) << ray % 64;
-        return;
-    }
-    float *distance = bake_ray_distances(states, viewpoint, kind->open) + ray;
-    *distance = fminf(*distance, (float)((double)t * view->unit));
-}
-
-/* Traces the rays of a viewpoint of one kind. index: of the viewpoint. */
-static void look_from(struct view *view, const struct bake_viewpoint *viewpoint, uint64_t index,
-                      bk_uint open)
-{
-    const bk_rays kind = bk_rays_of(view->params, open);
-    const float *n = viewpoint->normal, *f = viewpoint->facet;
-    const float *from = open ? viewpoint->open_from : viewpoint->solid_from;
-    for (bk_uint first = 0; first < kind.count; first += BK_WIDTH) {
-        const bk_uint lanes = wanted(view->states, index, &kind, first);
-        if (lanes == 0)
-            continue;
-        const bk_vec3w direction = bk_hemisphere(&kind, viewpoint->share, bk_v3(n[0], n[1], n[2]),
-                                                 bk_v3(f[0], f[1], f[2]), first);
-        const bk_fw t = bk_look(view->grid, view->params, &view->cache, &kind,
-                                bk_splat3(bk_v3(from[0], from[1], from[2])), direction,
-                                bk_splat(viewpoint->reversed ? -1.0f : 1.0f), lanes);
-        for (bk_uint left = lanes; left; left &= left - 1)
-            native_lanes_note_hit(view, index, &kind, first + bk_first(left),
-                                  bk_lane(t, bk_first(left)));
-    }
-}
-
-void BSQ_SIMD_NAME(bake_native_look)(const struct bk_grid *grid, const struct bk_params *params,
-                                     const struct bake_viewpoints *viewpoints, uint64_t begin,
-                                     uint64_t end, struct bake_ray_states *states)
-{
-    struct view view = {.grid = grid,
-                        .params = params,
-                        .states = states,
-                        .unit = viewpoints->unit,
-                        .cache = bk_cache_empty()};
-    struct bake_viewpoint viewpoint;
-
-    for (uint64_t i = begin; i < end; i++)
-        for (bk_uint open = viewpoints->get(viewpoints->arg, i, &viewpoint) ? 2 : 0; open-- > 0;)
-            look_from(&view, &viewpoint, i, open);
 }

@@ -1,6 +1,5 @@
 /* tree_rays.h - traces secondary rays through the tree of leaves; all instruction sets give the
- * bits of bk_look(). That walks through the grid's nodes and traces 1.1 million rays a second on a
- * large grid where these trace 6.2 (docs/decisions/0020-rays-from-hits.md). */
+ * bits of bk_tree_look(), which a GPU runs for each ray. */
 #ifndef BAKE_DEVICE_NATIVE_TREE_RAYS_H
 #define BAKE_DEVICE_NATIVE_TREE_RAYS_H
 
@@ -70,8 +69,8 @@ struct bake_tree_stream {
     uint8_t voxel[BAKE_TREE_VOXELS]; /* in its block, as x << 4 | y << 2 | z */
 };
 
-/* Traces the rays of `count` points, all of one kind. results: kind->count values of bk_look() for
- * each point, `stride` apart; of open rays only the sign is defined, unless params->flags has
+/* Traces the rays of `count` points, all of one kind. results: kind->count values for each point,
+ * see bk_add_up(), `stride` apart; of open rays only the sign is defined, unless params->flags has
  * BK_OPEN_FALLOFF. The stream is scratch memory. */
 typedef void bake_tree_look_fn(const struct bk_grid *grid, const struct bk_params *params,
                                const struct bake_tree *tree, const bk_rays *kind,

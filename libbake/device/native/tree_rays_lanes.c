@@ -398,7 +398,7 @@ static void add_rays(struct bake_tree_tracer *tracer, const bk_viewpoint *point,
     struct bake_tree_stream *stream = tracer->stream;
     const bk_rays *kind = tracer->kind;
     const bk_uint left = kind->count - first, count = left < BK_WIDTH ? left : BK_WIDTH;
-    const bk_vec3w direction = bk_ray_directions(kind, point->share, point->normal, first);
+    const bk_vec3w direction = bk_ray_directions(kind, point, first);
     const bk_ray line =
         bk_ray_along(bk_splat3(bk_ray_start(kind, point)), direction,
                      bk_scalew(direction, bk_splat(point->side)), bk_mask_of((1u << count) - 1u));
@@ -449,7 +449,7 @@ static void rays_add_point(struct bake_tree_tracer *tracer, const bk_viewpoint *
     const bk_uint left = tracer->kind->count - first;
     const bk_uint end = first + (left < BAKE_TREE_BUNDLE ? left : BAKE_TREE_BUNDLE);
     float margins[3];
-    find_margins(tracer->tree, point->position, margins);
+    find_margins(tracer->tree, bk_ray_start(tracer->kind, point), margins);
     for (bk_uint ray = first; ray < end; ray += BK_WIDTH)
         add_rays(tracer, point, margins, ray, slot + ray);
     for (int axis = 0; axis < 3; axis++)

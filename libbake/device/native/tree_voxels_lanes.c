@@ -1,7 +1,7 @@
 /* tree_voxels_lanes.c - tests secondary rays against the voxels of blocks, and their records.
  *
- * bk_visit.h says which voxels a ray visits, and how their records are tested. Voxels far along a
- * ray end it without their records, see bk_meet_voxels(). Voxels are not visited in the order in
+ * bk_visit.h says which voxels a ray visits, and how their records are tested. Voxels from
+ * params->coarse on end it without their records. Voxels are not visited in the order in
  * which rays meet them. If distances matter, the hit counts whose voxel is entered first. */
 #include <stddef.h>
 #include <string.h>

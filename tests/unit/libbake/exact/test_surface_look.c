@@ -63,15 +63,16 @@ static struct bake_exact_ray open_ray(const struct bake_exact *exact,
 {
     const struct bake_exact_hit *hit = &view->hits[i];
     const double lift = (double)bake_exact_lift(exact);
-    struct bake_viewpoint viewpoint = {.share = view->shares[i]};
-    struct bake_exact_ray ray;
+    const bk_rays kind = bk_rays_of(params, 1);
+    const bk_viewpoint viewpoint = {.normal = bk_v3(hit->normal[0], hit->normal[1], hit->normal[2]),
+                                    .facet = bk_v3(hit->facet[0], hit->facet[1], hit->facet[2]),
+                                    .share = view->shares[i]};
+    const bk_vec3w d = bk_ray_directions(&kind, &viewpoint, 0);
+    struct bake_exact_ray ray = {.direction = {d.x, d.y, d.z}};
     for (int k = 0; k < 3; k++)
-        viewpoint.open_from[k] =
+        ray.origin[k] =
             (float)((double)view->rays[i].origin[k] + hit->t * (double)view->rays[i].direction[k] +
                     lift * (double)hit->facet[k]);
-    memcpy(viewpoint.normal, hit->normal, sizeof viewpoint.normal);
-    memcpy(viewpoint.facet, hit->facet, sizeof viewpoint.facet);
-    bake_viewpoint_ray(params, &viewpoint, true, 0, ray.origin, ray.direction);
     return ray;
 }
 

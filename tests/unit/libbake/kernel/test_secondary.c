@@ -2,6 +2,7 @@
 #include "libbake/bake.h"
 #include "libbake/device/job/job.h"
 #include "libbake/kernel/bk_sample.h"
+#include "libbake/grid_tree/leaf_tree.h"
 #include "tests/unit/test.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
@@ -14,6 +15,7 @@ struct scene {
     struct analytic_grid *samples;
     struct fmt_nvdb_grid file;
     struct bk_grid grid;
+    struct bake_tree tree;
     struct bk_params params;
 };
 
@@ -48,6 +50,9 @@ static void open_scene(struct scene *s)
     analytic_grid_open(s->ctx, s->samples, false, &s->file);
     bake_params_from_grid(&s->file, &s->params);
     bake_kernel_grid(&s->file, &s->params, &s->grid);
+    assert_int_equal(bake_tree_build(s->ctx, &s->file, &s->tree), 0);
+    s->grid.nodes = (const bk_ulong2 *)(const void *)s->tree.nodes;
+    s->grid.blocks = (const bk_ulong *)(const void *)s->tree.blocks;
     s->params.maps = BK_SECONDARY_MAPS;
     s->params.samples = 1;
     s->params.open_rays = s->params.thickness_rays = RAYS;
@@ -59,6 +64,7 @@ static void open_scene(struct scene *s)
 
 static void end(struct scene *s)
 {
+    bake_tree_free(s->ctx, &s->tree);
     fmt_nvdb_close(s->ctx, &s->file);
     analytic_grid_free(s->samples);
     test_context_end(s->ctx);
@@ -66,13 +72,18 @@ static void end(struct scene *s)
 
 static bk_surroundings look(const struct scene *s, const double position[3], const double normal[3])
 {
-    struct bk_cache cache = bk_cache_empty();
-    const bk_viewpoint from = {
-        .position = bk_v3((float)position[0], (float)position[1], (float)position[2]),
-        .normal = bk_v3((float)normal[0], (float)normal[1], (float)normal[2]),
-        .side = 1,
-        .share.seed = bk_hash((bk_uint)(int)(1000 * position[0] + position[1]))};
-    return bk_look_around(&s->grid, &s->params, &cache, &from);
+    static float found[2 * RAYS];
+    const bk_vec3 at = bk_v3((float)position[0], (float)position[1], (float)position[2]);
+    const bk_vec3 up = bk_v3((float)normal[0], (float)normal[1], (float)normal[2]);
+    const bk_viewpoint from = {.open_from = bk_add_scaled(at, BK_LIFT, up),
+                               .solid_from = at,
+                               .normal = up,
+                               .side = 1,
+                               .share.seed =
+                                   bk_hash((bk_uint)(int)(1000 * position[0] + position[1]))};
+    for (bk_uint ray = 0; ray < bk_ray_count(&s->params); ray++)
+        bk_look_from(&s->grid, &s->params, &from, ray, &found[ray]);
+    return bk_add_up(&s->params, &from, found);
 }
 
 static void assert_near(double value, double expected, double tolerance, const char *what)
@@ -278,9 +289,9 @@ TEST(falloff_is_linear)
 TEST(far_voxels_hide)
 {
     struct scene s = begin();
-    const bk_vec3w start = bk_v3w(-20.2f, 0.1f, 0.3f), along = bk_v3w(1, 0, 0);
+    const bk_vec3 start = bk_v3(-20.2f, 0.1f, 0.3f);
+    const bk_viewpoint from = {.open_from = start, .solid_from = start, .side = 1};
     bk_rays rays = {.open = 1, .count = 1, .sine2 = 1, .limit = BK_FAR};
-    bk_cache cache = bk_cache_empty();
     add_rectangle(&s, (double[]){60, 0, 0.1}, (double[]){60, 0, 0}, (double[]){0, 9, 0}, 1);
     open_scene(&s);
     const struct {
@@ -300,7 +311,7 @@ TEST(far_voxels_hide)
         s.params.coarse = cases[i].coarse;
         rays.limit = cases[i].limit;
         rays.open = cases[i].open;
-        const float t = bk_look(&s.grid, &s.params, &cache, &rays, start, along, 1, 1);
+        const float t = bk_tree_look(&s.grid, &s.params, &rays, &from, bk_v3w(1, 0, 0));
         assert_near(t, cases[i].found, 1e-4, "along a floor");
     }
     end(&s);

@@ -101,12 +101,11 @@ static struct bake_device_times times_of(struct fixture *f, int patches, struct 
     const struct bk_patch patch = {.width = WIDTH, .height = HEIGHT};
     struct bake_device_times times;
     struct bake_backend *backend;
-    const struct bake_tree none = {0};
     struct bake_grid_arrays grid;
     char why[BAKE_WHY_BYTES];
 
     assert_int_equal(bake_cuda_kind.open(f->ctx, 0, &f->job, &backend), 0);
-    bake_list_arrays(&f->job, &none, &grid);
+    bake_list_arrays(&f->job, &grid);
     assert_int_equal(backend->load(backend, &grid, why), 0);
     for (int i = 0; i < patches; i++)
         assert_int_equal(backend->trace(backend, &patch, f->samples, (float *)texels, 0, why), 0);
@@ -175,14 +174,13 @@ FIXTURE_TEST(test_memory_for_the_driver)
     const uint64_t all = 1 << 30;
     struct fixture *f = *state;
     struct sheet_texel *native = traced_sheet_trace(f, "cpu", 0), *cuda;
-    const struct bake_tree none = {0};
     struct bake_grid_arrays grid;
     struct bake_backend *backend;
     uint64_t needed;
 
     setenv("FAKE_CUDA_MEMORY", "1073741824", 1);
     assert_int_equal(bake_cuda_kind.open(f->ctx, 0, &f->job, &backend), 0);
-    bake_list_arrays(&f->job, &none, &grid);
+    bake_list_arrays(&f->job, &grid);
     needed = all / 16 * 15 - backend->memory_bytes + grid.bytes; /* texels and triangles, too */
     backend->close(backend);
     cuda = trace_with(f, needed);

@@ -163,7 +163,6 @@ TEST(test_same_bits)
     assert_true(f->grid.record_count - 1 - f->grid.voxel_count > 1000);
     for (size_t i = 0; i < sizeof flags / sizeof *flags; i++) {
         char *arrays[BAKE_GRID_ARRAYS];
-        const struct bake_tree tree = {0};
         struct bake_grid_arrays list;
         struct bk_grid mapped, copied;
         uint64_t hits = 0, covered = 0;
@@ -176,7 +175,7 @@ TEST(test_same_bits)
         }
         print_message("%u of %u rays hit\n", (unsigned)hits, (unsigned)covered);
         assert_true(hits > covered / 20 && hits < covered);
-        bake_list_arrays(&f->job, &tree, &list);
+        bake_list_arrays(&f->job, &list);
         load(&list, arrays, &copied);
         trace(f, &copied, &list.params, texels);
         assert_memory_equal(texels, expected, sizeof expected);

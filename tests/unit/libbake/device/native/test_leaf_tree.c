@@ -1,9 +1,10 @@
 /* test_leaf_tree.c - the tree of leaves contains all voxels, and rays through it find what
- * bk_look() finds, also if they go through edges and corners of voxels. */
+ * rays from voxel to voxel find, also if they go through edges and corners of voxels. */
 #include "base/context.h"
 #include "libbake/device/job/job.h"
 #include "libbake/device/native/tree_rays.h"
 #include "tests/unit/libbake/analytic_grid.h"
+#include "tests/unit/libbake/walked_ray.h"
 #include "tests/unit/test.h"
 
 enum { POINTS = 200, RAYS = BAKE_TREE_BUNDLE }; /* all rays that go together */
@@ -23,7 +24,7 @@ static void open_fixture(struct fixture *f, const struct analytic_grid *grid)
     memset(&f->params, 0, sizeof f->params);
     bake_params_from_grid(&f->file, &f->params);
     bake_kernel_grid(&f->file, &f->params, &f->grid);
-    assert_int_equal(bake_tree_build(f->ctx, &f->file, UINT64_MAX, &f->tree), 0);
+    assert_int_equal(bake_tree_build(f->ctx, &f->file, &f->tree), 0);
 }
 
 static void close_fixture(struct fixture *f)
@@ -129,7 +130,6 @@ TEST(test_all_voxels_are_in_the_tree)
         add_clutter(grid, centres[i], 5 + 20 * (double)i, 1500, &seed);
     struct fixture f;
     open_fixture(&f, grid);
-    assert_non_null(f.tree.nodes);
     assert_int_equal(check_node(&f, 0, NULL), f.file.voxel_count);
     close_fixture(&f);
     analytic_grid_free(grid);
@@ -149,8 +149,8 @@ TEST(test_one_voxel)
     analytic_grid_free(grid);
 }
 
-/* Without memory for the tree there is none, and nothing stays allocated. A grid that is too wide
- * has none either. */
+/* With any budget there is the whole tree, or a failure after which nothing stays allocated. A grid
+ * that is too wide has no tree. */
 TEST(test_limits)
 {
     const double far[3] = {BAKE_TREE_EXTENT + 1000.0, 0, 0}, centre[3] = {0, 0, 0};
@@ -163,25 +163,28 @@ TEST(test_limits)
     open_fixture(&f, grid);
     const uint64_t all = f.tree.count;
     struct bake_tree tree;
-    const uint64_t used = bsq_memory_used(f.ctx);
     bool some = false, none = false;
-    for (uint64_t limit = 0; limit < 400 * all; limit += 5 * all + 1) {
-        assert_int_equal(bake_tree_build(f.ctx, &f.file, limit, &tree), 0);
-        assert_true(!tree.nodes || tree.count == all);
-        some |= tree.nodes != NULL;
-        none |= tree.nodes == NULL;
-        bake_tree_free(f.ctx, &tree);
-        assert_int_equal(bsq_memory_used(f.ctx), used);
+    for (uint64_t memory = 1; memory < 400 * all; memory += 5 * all + 1) {
+        struct bsq_ctx *ctx = test_context(0, memory);
+        const int status = bake_tree_build(ctx, &f.file, &tree);
+        assert_true(status == 0 ? tree.count == all : status == BSQ_ENOMEM && !tree.nodes);
+        some |= status == 0;
+        none |= status < 0;
+        bake_tree_free(ctx, &tree);
+        assert_int_equal(bsq_memory_used(ctx), 0);
+        bsq_ctx_destroy(ctx);
     }
     assert_true(some && none);
+    const uint64_t used = bsq_memory_used(f.ctx);
     bsq_interrupt(f.ctx);
-    assert_int_equal(bake_tree_build(f.ctx, &f.file, UINT64_MAX, &tree), BSQ_EINTR);
+    assert_int_equal(bake_tree_build(f.ctx, &f.file, &tree), BSQ_EINTR);
     assert_null(tree.nodes);
     assert_int_equal(bsq_memory_used(f.ctx), used);
     close_fixture(&f);
     analytic_grid_add(grid, far, up, 1, NULL);
-    open_fixture(&f, grid);
-    assert_null(f.tree.nodes);
+    f.ctx = test_context(0, 0);
+    analytic_grid_open(f.ctx, grid, false, &f.file);
+    assert_int_equal(bake_tree_build(f.ctx, &f.file, &f.tree), BSQ_EDATA);
     close_fixture(&f);
     analytic_grid_free(grid);
 }
@@ -196,8 +199,46 @@ static void look_one_by_one(const struct fixture *f, const bk_rays *kind, const 
     grid.nodes = (const bk_ulong2 *)(const void *)f->tree.nodes;
     grid.blocks = (const bk_ulong *)(const void *)f->tree.blocks;
     for (uint32_t ray = 0; ray < RAYS; ray++)
-        found[ray] = bk_tree_look(&grid, &f->params, kind, point,
-                                  bk_ray_directions(kind, point->share, point->normal, ray));
+        found[ray] =
+            bk_tree_look(&grid, &f->params, kind, point, bk_ray_directions(kind, point, ray));
+}
+
+/* Returns a point from which open rays start a voxel above, as from hits of grids. */
+static bk_viewpoint point_at(bk_vec3 position, bk_vec3 normal, float side, bk_uint seed)
+{
+    return (bk_viewpoint){.open_from = bk_add_scaled(position, BK_LIFT, normal),
+                          .solid_from = position,
+                          .normal = normal,
+                          .side = side,
+                          .share.seed = seed};
+}
+
+/* A grid without voxels hides nothing. */
+TEST(test_no_voxels)
+{
+    struct fixture f;
+    (void)state;
+    struct analytic_grid *grid = analytic_grid_create();
+    add_clutter(grid, (double[3]){0, 0, 0}, 9, 300, &(uint64_t){5});
+    open_fixture(&f, grid);
+    bake_tree_free(f.ctx, &f.tree);
+    const uint32_t leaves = f.file.leaf_count;
+    f.file.leaf_count = f.file.lower_count = f.file.tile_count = 0;
+    assert_int_equal(bake_tree_build(f.ctx, &f.file, &f.tree), 0);
+    const bk_viewpoint point = point_at(bk_v3(0, 0, 0), bk_v3(0, 0, 1), 1, 7);
+    const bk_rays kind = {.open = 1, .count = RAYS, .samples = 1, .sine2 = 1, .limit = 40};
+    static struct bake_tree_stream stream;
+    float found[RAYS] = {0};
+    BSQ_SIMD_PICK(bsq_simd_best(), bake_tree_look)
+    (&f.grid, &f.params, &f.tree, &kind, &point, 1, found, RAYS, &stream);
+    for (int i = 0; i < RAYS; i++)
+        assert_true(found[i] < 0);
+    look_one_by_one(&f, &kind, &point, found);
+    for (int i = 0; i < RAYS; i++)
+        assert_true(found[i] < 0);
+    f.file.leaf_count = leaves;
+    close_fixture(&f);
+    analytic_grid_free(grid);
 }
 
 /* Checks what rays found. exact: distances count, not only whether a ray meets something. */
@@ -210,8 +251,8 @@ static void check_found(const float *found, const float *expected, bool exact)
             assert_true(expected[i] < 0 ? found[i] < 0 : found[i] >= 0);
 }
 
-/* Compares rays through the tree with bk_look() at all levels of instructions. exact: distances
- * count, not only whether a ray meets something. */
+/* Compares rays through the tree with rays from voxel to voxel, at all levels of instructions.
+ * exact: distances count, not only whether a ray meets something. */
 static void compare(const struct fixture *f, const bk_rays *kind, const bk_viewpoint *points,
                     bool exact)
 {
@@ -220,10 +261,8 @@ static void compare(const struct fixture *f, const bk_rays *kind, const bk_viewp
     uint32_t hits = 0;
     for (uint32_t i = 0; i < POINTS; i++)
         for (uint32_t ray = 0; ray < RAYS; ray++) {
-            bk_cache cache = bk_cache_empty();
-            const float t = bk_look(
-                &f->grid, &f->params, &cache, kind, bk_splat3(bk_ray_start(kind, &points[i])),
-                bk_ray_directions(kind, points[i].share, points[i].normal, ray), points[i].side, 1);
+            const float t = walked_ray(&f->grid, &f->params, kind, &points[i],
+                                       bk_ray_directions(kind, &points[i], ray));
             expected[i * RAYS + ray] = t;
             hits += t >= 0 && t < kind->limit;
         }
@@ -275,12 +314,10 @@ TEST(test_edges_and_corners)
         while (n.x == 0 && n.y == 0 && n.z == 0)
             n = bk_v3((float)floor(between(&seed, -1, 2)), (float)floor(between(&seed, -1, 2)),
                       (float)floor(between(&seed, -1, 2)));
-        points[i].normal = bk_unit(n);
-        points[i].position = bk_v3((float)floor(between(&seed, -40, 46)) / 2,
-                                   (float)floor(between(&seed, -48, 32)) / 2,
-                                   (float)floor(between(&seed, -30, 50)) / 2);
-        points[i].side = i % 3 ? 1.0f : -1.0f;
-        points[i].share.seed = (bk_uint)i;
+        const bk_vec3 at = bk_v3((float)floor(between(&seed, -40, 46)) / 2,
+                                 (float)floor(between(&seed, -48, 32)) / 2,
+                                 (float)floor(between(&seed, -30, 50)) / 2);
+        points[i] = point_at(at, bk_unit(n), i % 3 ? 1.0f : -1.0f, (bk_uint)i);
     }
     compare_kinds(&f, points, 0.0f, 40);
     close_fixture(&f);
@@ -294,10 +331,8 @@ static bk_viewpoint random_point(const double centre[3], double half, uint64_t *
     analytic_random_unit(seed, n);
     for (int k = 0; k < 3; k++)
         p[k] = centre[k] + between(seed, -half, half);
-    return (bk_viewpoint){.position = bk_v3((float)p[0], (float)p[1], (float)p[2]),
-                          .normal = bk_v3((float)n[0], (float)n[1], (float)n[2]),
-                          .side = 1.0f,
-                          .share.seed = (bk_uint)*seed};
+    return point_at(bk_v3((float)p[0], (float)p[1], (float)p[2]),
+                    bk_v3((float)n[0], (float)n[1], (float)n[2]), 1.0f, (bk_uint)*seed);
 }
 
 /* Points in and around a grid, some far outside of it. */
@@ -315,19 +350,20 @@ TEST(test_points_everywhere)
         points[i] = random_point(centre, i % 4 ? 14 : 200, &seed);
     /* Some outside look at the grid from afar. */
     for (int i = 0; i < POINTS; i += 8) {
-        const bk_vec3 p = points[i].position;
-        points[i].normal =
+        const bk_vec3 p = points[i].solid_from;
+        const bk_vec3 n =
             bk_unit(bk_v3((float)centre[0] - p.x, (float)centre[1] - p.y, (float)centre[2] - p.z));
+        points[i] = point_at(p, n, 1.0f, points[i].share.seed);
     }
     /* Invalid points are not traced. */
-    points[5].position.x = NAN;
+    points[5].solid_from.x = points[5].open_from.x = NAN;
     points[6].normal.y = INFINITY;
     compare_kinds(&f, points, 1.0f, 40);
     compare_kinds(&f, points, 0.02f, 500);
     compare_kinds(&f, points, 0.02f, BK_FAR);
     for (int i = 0; i < POINTS; i += 16) {
-        const bk_vec3 n = points[i].normal, p = points[i].position;
-        points[i].position = bk_add_scaled(p, -1.0e5f, n);
+        const bk_vec3 n = points[i].normal, p = points[i].solid_from;
+        points[i] = point_at(bk_add_scaled(p, -1.0e5f, n), n, 1.0f, points[i].share.seed);
     }
     compare_kinds(&f, points, 0.02f, BK_FAR);
     close_fixture(&f);
@@ -347,7 +383,6 @@ TEST(test_wide_grid)
         add_clutter(grid, (double[3]){ends[e], ends[1 - e], 3}, 10, 2000, &seed);
     struct fixture f;
     open_fixture(&f, grid);
-    assert_non_null(f.tree.nodes);
     assert_true(bake_tree_shift(&f.tree.nodes[0]) >= 12);
     assert_int_equal(check_node(&f, 0, NULL), f.file.voxel_count);
     for (int i = 0; i < POINTS; i++)
