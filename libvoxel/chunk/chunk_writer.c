@@ -61,11 +61,11 @@ static unsigned chunks_count_slots(const struct batches *b, uint64_t left)
  * may read all of them, so few batches are best. */
 static uint64_t wanted_capacity(const struct batches *b)
 {
-    const struct buckets *buckets = &b->partition->buckets;
+    const struct bsq_spill *buckets = &b->partition->buckets;
     if (b->partition->layout.gathered && b->partition->vertices_lack_order)
         return 8 * b->scan->limits->batch_triangles;
     uint64_t wanted = (uint64_t)bsq_threads(b->ctx) << 18, largest = 0;
-    for (uint32_t c = 0; c < buckets->bucket_count; c++)
+    for (uint32_t c = 0; c < buckets->stream_count; c++)
         largest = buckets->list[c].items > largest ? buckets->list[c].items : largest;
     if (wanted < 1 << 19)
         wanted = 1 << 19;
@@ -226,12 +226,12 @@ static int add_in_slices(struct batches *b, const struct batch_slice *whole)
 /* Distributes at most RUN_TRIANGLES tuples to the children of their bucket. levels: the children's
  * Morton levels. */
 static int divide_run(struct batches *b, const uint8_t *tuples, uint32_t count, uint32_t levels,
-                      uint8_t *coded, struct buckets *children)
+                      uint8_t *coded, struct bsq_spill *children)
 {
-    const uint32_t bytes = b->partition->layout.bytes, mask = children->bucket_count - 1;
+    const uint32_t bytes = b->partition->layout.bytes, mask = children->stream_count - 1;
     int status = 0;
     for (uint32_t first = 0, end; status == 0 && first < count; first = end) {
-        uint32_t child = BUCKET_NONE;
+        uint32_t child = BSQ_SPILL_NONE;
         for (end = first; end < count; end++) {
             uint32_t number = (uint32_t)(vox_batch_key(&b->batch, tuples + end * bytes) >>
                                          (MORTON_KEY_BITS - 3 * levels)) &
@@ -247,7 +247,8 @@ static int divide_run(struct batches *b, const uint8_t *tuples, uint32_t count, 
         const uint32_t before = run_header_bytes(&header);
         run_header_put(&header, coded);
         memcpy(coded + before, tuples + first * bytes, header.bytes);
-        status = vox_buckets_add(children, child, coded, before + header.bytes, end - first);
+        status = bsq_spill_add(children, child, coded, before + header.bytes);
+        children->list[child].items += end - first;
     }
     return status;
 }
@@ -255,7 +256,7 @@ static int divide_run(struct batches *b, const uint8_t *tuples, uint32_t count, 
 /* Distributes a bucket's triangles to its children. The batch must hold only triangles that were
  * carried over. */
 static int divide_bucket(struct batches *b, const struct batch_slice *whole, uint32_t levels,
-                         struct buckets *children)
+                         struct bsq_spill *children)
 {
     const uint32_t bytes = b->partition->layout.bytes;
     uint8_t *coded = NULL;
@@ -275,12 +276,12 @@ static int divide_bucket(struct batches *b, const struct batch_slice *whole, uin
     return status;
 }
 
-static int add_buckets(struct batches *b, const struct buckets *buckets, uint32_t levels);
+static int add_buckets(struct batches *b, const struct bsq_spill *buckets, uint32_t levels);
 
 static int add_large_bucket(struct batches *b, const struct batch_slice *whole)
 {
     uint32_t levels = whole->levels + CHILD_LEVELS;
-    struct buckets children = {0};
+    struct bsq_spill children = {0};
     if (whole->levels == MORTON_AXIS_BITS)
         return add_in_slices(b, whole);
     if (levels > MORTON_AXIS_BITS)
@@ -288,19 +289,20 @@ static int add_large_bucket(struct batches *b, const struct batch_slice *whole)
     int status;
     BSQ_TRY(b->batch.slice_count > 0 ? write_batch(b) : 0);
     const uint32_t count = 1u << 3 * (levels - whole->levels);
-    BSQ_TRY(vox_buckets_init(&children, b->ctx, b->beside, count, count, CHILD_PAGE_BYTES, 0));
+    BSQ_TRY(bsq_spill_init(&children, b->ctx, "sorted tuples", b->beside, count, count,
+                           CHILD_PAGE_BYTES, 0));
     BSQ_TRY(divide_bucket(b, whole, levels, &children));
     BSQ_TRY(add_buckets(b, &children, levels));
     status = write_batch(b); /* it reads the children */
 done:
-    vox_buckets_free(&children);
+    bsq_spill_free(&children);
     return status;
 }
 
-static int add_buckets(struct batches *b, const struct buckets *buckets, uint32_t levels)
+static int add_buckets(struct batches *b, const struct bsq_spill *buckets, uint32_t levels)
 {
     int status = 0;
-    for (uint32_t c = 0; status == 0 && c < buckets->bucket_count; c++) {
+    for (uint32_t c = 0; status == 0 && c < buckets->stream_count; c++) {
         const struct batch_slice slice = {
             .buckets = buckets, .bucket = c, .levels = levels, .count = buckets->list[c].items};
         if (slice.count == 0)

@@ -15,7 +15,8 @@ static bool is_active(const struct scan *scan, enum fmt_mesh_kind kind)
 {
     bool active = false;
     for (int i = 0; i < SCAN_STREAM_COUNT; i++)
-        active |= scan_kind_of(i) == kind && scan_keeps(scan, i) && scan->streams[i].spill.spilled;
+        active |= scan_kind_of(i) == kind && scan_keeps(scan, i) &&
+                  bsq_spill_in_file(&scan->streams[i].spill);
     return active;
 }
 
@@ -56,15 +57,15 @@ uint64_t vox_gather_triangle_bytes(const struct scan *scan)
     return bytes;
 }
 
-/* Opens a stream of the view; it is one segment. */
+/* Opens a stream of the view; it is one page. */
 static int window_open_stream(struct gather_window *w, enum scan_stream number, uint64_t triangles)
 {
     const struct attribute_stream *from = &w->scan->streams[number];
     struct attribute_stream *stream = &w->view.streams[number];
-    uint64_t most = stream_count(from) < 3 * triangles ? stream_count(from) : 3 * triangles;
+    const uint64_t most = from->count < 3 * triangles ? from->count : 3 * triangles;
     int status = bsq_alloc(w->ctx, "sorting", most, from->element_bytes, &w->elements[number]);
     *stream = (struct attribute_stream){.element_bytes = from->element_bytes, .shift = 32};
-    stream->spill.segments = &w->elements[number];
+    stream->spill.slabs = &w->elements[number];
     return status;
 }
 
@@ -258,7 +259,7 @@ static int fetch_range(void *arg, uint64_t number, unsigned worker)
             continue;
         uint64_t end_word = read_end(kind, word, end);
         uint64_t count = (end_word < words ? 64 * end_word : kind->count) - 64 * word;
-        status = vox_spill_read(&stream->spill, 64 * word * bytes, count * bytes, buffer);
+        status = stream_read(stream, 64 * word, count, buffer);
         if (status == 0 && fetch->stream == SCAN_COLORS)
             vox_scan_scale_colors(w->scan, 64 * word, count, (uint32_t *)(void *)buffer);
         if (status == 0)
@@ -272,7 +273,7 @@ static int fetch_stream(struct gather_window *w, enum scan_stream number)
 {
     const struct gather_kind *kind = &w->kinds[scan_kind_of(number)];
     struct fetch fetch = {w, number};
-    w->view.streams[number].spill.bytes = kind->marked * w->view.streams[number].element_bytes;
+    w->view.streams[number].count = kind->marked;
     return bsq_parallel_for(w->ctx, range_count(kind), fetch_range, &fetch);
 }
 

@@ -32,7 +32,7 @@ struct gather_window {
     const struct tuple_layout *layout;
     struct scan view; /* the scan, but streams of active kinds have only marked elements */
     struct gather_kind kinds[FMT_MESH_KIND_COUNT];
-    uint8_t *elements[SCAN_STREAM_COUNT]; /* segments of the view's streams */
+    uint8_t *elements[SCAN_STREAM_COUNT]; /* pages of the view's streams */
     uint8_t *buffers;                     /* one for each thread */
 };
 

@@ -34,7 +34,7 @@ static uint64_t tuple_gap(const struct tuple_layout *layout)
 uint64_t vox_batch_capacity_of_all(const struct partition *partition)
 {
     return partition->triangles +
-           2 * tuple_gap(&partition->layout) * partition->buckets.bucket_count;
+           2 * tuple_gap(&partition->layout) * partition->buckets.stream_count;
 }
 
 static int open_window(struct batch *b)

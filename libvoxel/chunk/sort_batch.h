@@ -20,7 +20,7 @@ struct entry {
 
 /* Triangles of one bucket, or some of them. */
 struct batch_slice {
-    const struct buckets *buckets;
+    const struct bsq_spill *buckets;
     uint32_t bucket;
     uint32_t levels; /* Morton levels of the bucket */
     uint64_t offset; /* of its first run in the bucket's bytes */

@@ -41,7 +41,7 @@ struct reading {
 
 void vox_partition_free(const struct scan *scan, struct partition *partition)
 {
-    vox_buckets_free(&partition->buckets);
+    bsq_spill_free(&partition->buckets);
     bsq_free(scan->ctx, partition->used);
     memset(partition, 0, sizeof *partition);
 }
@@ -186,8 +186,8 @@ static int make_buckets(struct reading *r, uint64_t page_memory)
         vox_vertex_buckets_coarsen(scan, &r->vertex_buckets, out->levels);
     out->vertices_lack_order = r->spilled && !r->vertex_buckets.have_order;
     int status;
-    BSQ_TRY(vox_buckets_init(&out->buckets, scan->ctx, r->beside, 1u << 3 * out->levels, used,
-                             page_bytes, page_memory));
+    BSQ_TRY(bsq_spill_init(&out->buckets, scan->ctx, "sorted tuples", r->beside,
+                           1u << 3 * out->levels, used, page_bytes, page_memory));
     status = bsq_calloc(scan->ctx, "vertices in use", used_words(vertices), sizeof *out->used,
                         &out->used);
 done:
@@ -202,7 +202,7 @@ static int begin_faces(struct reading *r)
     uint64_t pages = 0;
     int status;
     BSQ_TRY(vox_scan_finish_streams(r->scan));
-    r->spilled = r->scan->streams[SCAN_POSITIONS].spill.spilled;
+    r->spilled = bsq_spill_in_file(&r->scan->streams[SCAN_POSITIONS].spill);
     r->out->cube = morton_cube_over(r->scan->bounds_min, r->scan->bounds_max);
     BSQ_TRY(partition_divide_memory(r, &pages));
     BSQ_TRY(make_buckets(r, pages));
@@ -265,9 +265,11 @@ static int partition_finish(void *arg, const struct fmt_mesh_batch *batch, unsig
     if (status < 0 || r->scan->bad_index.found)
         return status;
     const struct triangulator *t = &slot->triangulator;
-    for (uint32_t i = 0; status == 0 && i < t->run_count; i++)
-        status = vox_buckets_add(&r->out->buckets, t->runs[i].bucket, t->bytes + t->runs[i].offset,
-                                 t->runs[i].bytes, t->runs[i].triangles);
+    for (uint32_t i = 0; status == 0 && i < t->run_count; i++) {
+        status = bsq_spill_add(&r->out->buckets, t->runs[i].bucket, t->bytes + t->runs[i].offset,
+                               t->runs[i].bytes);
+        r->out->buckets.list[t->runs[i].bucket].items += t->runs[i].triangles;
+    }
     r->out->triangles += t->triangles;
     return status;
 }

@@ -51,7 +51,7 @@ struct partition {
     struct tuple_layout layout;
     struct morton_cube cube;
     uint32_t levels;          /* the first 3 * levels bits of a key name a bucket */
-    struct buckets buckets;   /* of runs; items are triangles */
+    struct bsq_spill buckets; /* of runs; items are triangles */
     uint64_t triangles;       /* in the buckets, including those without area */
     bool vertices_lack_order; /* neighbours in the file are not neighbours in space; only known if
                                  positions are in a file */

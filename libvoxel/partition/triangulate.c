@@ -120,15 +120,13 @@ static int read_position(struct triangulator *t, const struct faces *faces, uint
 {
     const struct attribute_stream *stream = &t->plan->scan->streams[SCAN_POSITIONS];
     const uint64_t vertex = faces->indices[FMT_MESH_VERTEX][corner], page = vertex / PAGE_VERTICES;
-    const uint64_t first = page * PAGE_VERTICES, left = stream_count(stream) - first;
+    const uint64_t first = page * PAGE_VERTICES, left = stream->count - first;
     float(*positions)[3] = t->pages->positions[page % PAGES];
     uint64_t *end = &t->pages->ends[page % PAGES];
     int status = 0;
     if (*end != page + 1) {
         *end = 0;
-        BSQ_TRY(vox_spill_read(&stream->spill, first * sizeof *positions,
-                               (left < PAGE_VERTICES ? left : PAGE_VERTICES) * sizeof *positions,
-                               positions));
+        BSQ_TRY(stream_read(stream, first, left < PAGE_VERTICES ? left : PAGE_VERTICES, positions));
         *end = page + 1;
     }
     *out = positions[vertex % PAGE_VERTICES];

@@ -20,7 +20,7 @@ static bool streams_spilled(const struct scan *scan)
 {
     bool spilled = false;
     for (int i = 0; i < SCAN_STREAM_COUNT; i++)
-        spilled |= scan->streams[i].spill.spilled && scan_keeps(scan, i);
+        spilled |= bsq_spill_in_file(&scan->streams[i].spill) && scan_keeps(scan, i);
     return spilled;
 }
 
@@ -82,14 +82,14 @@ void vox_run_reader_free(struct run_reader *reader)
     memset(reader, 0, sizeof *reader);
 }
 
-void vox_run_reader_seek(struct run_reader *reader, const struct buckets *buckets, uint32_t bucket,
-                         uint64_t offset)
+void vox_run_reader_seek(struct run_reader *reader, const struct bsq_spill *buckets,
+                         uint32_t bucket, uint64_t offset)
 {
     reader->begin = reader->end = 0;
     reader->buckets = buckets;
     reader->bucket = bucket;
     reader->offset = offset;
-    reader->cursor = (struct bucket_cursor){0};
+    reader->cursor = (struct bsq_spill_cursor){0};
 }
 
 /* Makes at least `size` bytes available at `begin`. */
@@ -102,8 +102,8 @@ static int fill_buffer(struct run_reader *reader, uint32_t size)
         return 0;
     memmove(reader->buffer, reader->buffer + reader->begin, have);
     uint32_t more = left < capacity ? (uint32_t)left : capacity;
-    int status = vox_buckets_read(reader->buckets, reader->bucket, reader->offset, more,
-                                  reader->buffer + have, &reader->cursor);
+    int status = bsq_spill_read(reader->buckets, reader->bucket, reader->offset, more,
+                                reader->buffer + have, &reader->cursor);
     reader->offset += more;
     reader->begin = 0;
     reader->end = have + more;

@@ -12,7 +12,6 @@
 
 #include <string.h>
 
-#include "libvoxel/partition/buckets.h"
 #include "libvoxel/read/scan.h"
 
 /* ---- tuples ---- */
@@ -156,10 +155,10 @@ struct run_reader {
     const struct tuple_layout *layout;
     uint8_t *buffer;
     uint32_t begin, end; /* unread bytes of the buffer */
-    const struct buckets *buckets;
+    const struct bsq_spill *buckets;
     uint32_t bucket;
     uint64_t offset; /* in the bucket, of the first byte after the buffer */
-    struct bucket_cursor cursor;
+    struct bsq_spill_cursor cursor;
 };
 
 /* Initialises a reader. Free it with vox_run_reader_free(), also after failure. */
@@ -168,8 +167,8 @@ int vox_run_reader_init(struct run_reader *reader, const struct scan *scan,
 void vox_run_reader_free(struct run_reader *reader);
 
 /* Moves to the run at `offset` bytes of the bucket. */
-void vox_run_reader_seek(struct run_reader *reader, const struct buckets *buckets, uint32_t bucket,
-                         uint64_t offset);
+void vox_run_reader_seek(struct run_reader *reader, const struct bsq_spill *buckets,
+                         uint32_t bucket, uint64_t offset);
 /* Returns the offset of the next run. */
 static inline uint64_t run_reader_tell(const struct run_reader *reader)
 {

@@ -31,12 +31,11 @@ static int read_vertices(const struct scan *scan, const struct morton_cube *cube
 {
     const struct attribute_stream *stream = &scan->streams[SCAN_POSITIONS];
     block->first += block->count;
-    const uint64_t left = stream_count(stream) - block->first;
+    const uint64_t left = stream->count - block->first;
     block->count = left < BLOCK_VERTICES ? (uint32_t)left : BLOCK_VERTICES;
     int status;
     BSQ_TRY(bsq_check(scan->ctx));
-    BSQ_TRY(vox_spill_read(&stream->spill, sizeof block->positions[0] * block->first,
-                           sizeof block->positions[0] * block->count, block->positions));
+    BSQ_TRY(stream_read(stream, block->first, block->count, block->positions));
     for (uint32_t i = 0; i < block->count; i++) {
         const uint32_t bucket = morton_cell(cube, levels, block->positions[i]);
         block->buckets[i] = bucket;

@@ -10,7 +10,7 @@
 
 #include "formats/mesh/mesh_reader.h"
 #include "formats/chunks/tris.h"
-#include "libvoxel/read/spill_buffer.h"
+#include "libvoxel/read/attribute_stream.h"
 #include "libvoxel/sort_limits.h"
 
 /* Marks a normal without direction in the file; bsq_oct_pack() never yields it. */
@@ -276,7 +276,7 @@ static inline bool scan_color_given(const float color[3])
 
 static inline uint64_t scan_count(const struct scan *scan, enum scan_stream stream)
 {
-    return stream_count(&scan->streams[stream]);
+    return scan->streams[stream].count;
 }
 
 /* Returns the kind of index that names elements of the stream. */

@@ -19,12 +19,20 @@ int vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limi
     scan->limits = limits;
     scan->paths = scan_paths;
     scan->path_count = path_count;
-    const uint32_t shift = limits->stream_shift;
-    stream_init(&scan->streams[SCAN_POSITIONS], ctx, "vertices", tris_path, 12, shift);
-    stream_init(&scan->streams[SCAN_COLORS], ctx, "colours", tris_path, 4, shift);
-    stream_init(&scan->streams[SCAN_TEXCOORDS], ctx, "texture coordinates", tris_path, 8, shift);
-    stream_init(&scan->streams[SCAN_NORMALS], ctx, "normals", tris_path, 4, shift);
-    return bsq_calloc(ctx, "files of a scan", path_count, sizeof *scan->files, &scan->files);
+    static const struct {
+        const char *what;
+        uint32_t element_bytes;
+    } streams[SCAN_STREAM_COUNT] = {[SCAN_POSITIONS] = {"vertices", 12},
+                                    [SCAN_COLORS] = {"colours", 4},
+                                    [SCAN_TEXCOORDS] = {"texture coordinates", 8},
+                                    [SCAN_NORMALS] = {"normals", 4}};
+    int status = 0;
+    for (int i = 0; i < SCAN_STREAM_COUNT && status == 0; i++)
+        status = vox_stream_init(&scan->streams[i], ctx, streams[i].what, tris_path,
+                                 streams[i].element_bytes, limits->stream_shift);
+    return status < 0
+               ? status
+               : bsq_calloc(ctx, "files of a scan", path_count, sizeof *scan->files, &scan->files);
 }
 
 void vox_scan_free(struct scan *scan)
@@ -32,7 +40,7 @@ void vox_scan_free(struct scan *scan)
     if (!scan->ctx)
         return;
     for (int i = 0; i < SCAN_STREAM_COUNT; i++)
-        vox_spill_free(&scan->streams[i].spill);
+        vox_stream_free(&scan->streams[i]);
     for (uint32_t i = 0; i < scan->material_count; i++) {
         bsq_free(scan->ctx, scan->materials[i].texture_path);
         bsq_free(scan->ctx, scan->materials[i].name);
@@ -66,7 +74,7 @@ uint64_t vox_scan_stream_memory(const struct scan *scan)
 {
     uint64_t bytes = 0;
     for (int i = 0; i < SCAN_STREAM_COUNT; i++)
-        bytes += vox_spill_memory(&scan->streams[i].spill);
+        bytes += stream_memory(&scan->streams[i]);
     return bytes;
 }
 
@@ -75,15 +83,12 @@ uint64_t vox_scan_stream_memory(const struct scan *scan)
 static int reserve(struct scan *scan, struct attribute_stream *stream, uint8_t **at,
                    uint64_t *capacity)
 {
-    const uint64_t cost = vox_spill_reserve_cost(&stream->spill);
-    int status;
-    if (cost > 0 && !stream->spill.spilled &&
+    const uint64_t cost = stream_reserve_cost(stream);
+    int status = 0;
+    if (cost > 0 && !bsq_spill_in_file(&stream->spill) &&
         vox_scan_stream_memory(scan) + cost > scan->limits->stream_bytes)
-        BSQ_TRY(vox_spill_spill(&stream->spill));
-    status = vox_spill_reserve(&stream->spill, at, capacity);
-    *capacity /= stream->element_bytes;
-done:
-    return status;
+        status = vox_stream_evict(stream);
+    return status < 0 ? status : vox_stream_reserve(stream, at, capacity);
 }
 
 /* Makes elements [first, first + count) of a stream at `to` from those of a batch. The numbers
@@ -99,11 +104,11 @@ static int append(struct scan *scan, const struct fmt_mesh_batch *batch, enum sc
     uint64_t capacity, count;
     uint8_t *to;
     int status = 0;
-    for (uint64_t first = stream_count(stream); first < end; first += count) {
+    for (uint64_t first = stream->count; first < end; first += count) {
         BSQ_TRY(reserve(scan, stream, &to, &capacity));
         count = end - first < capacity ? end - first : capacity;
         BSQ_TRY(convert(scan, batch, first, count, to));
-        vox_spill_advance(&stream->spill, count * stream->element_bytes);
+        BSQ_TRY(vox_stream_advance(stream, count));
     }
 done:
     return status;
@@ -522,7 +527,7 @@ done:
 void vox_scan_prefault(struct scan *scan)
 {
     for (int i = 0; i < SCAN_STREAM_COUNT; i++)
-        vox_spill_prefault(&scan->streams[i].spill);
+        vox_stream_prefault(&scan->streams[i]);
 }
 
 /* ---- the end ---- */
@@ -531,7 +536,7 @@ int vox_scan_finish_streams(struct scan *scan)
 {
     int status = 0;
     for (int i = 0; status == 0 && i < SCAN_STREAM_COUNT; i++)
-        status = vox_spill_finish(&scan->streams[i].spill);
+        status = vox_stream_finish(&scan->streams[i]);
     return status;
 }
 

@@ -42,9 +42,9 @@ static void expect_buckets(struct fixture *f, const struct morton_cube *cube,
     static bool seen[1u << 3 * VERTEX_BUCKET_WIDE_LEVELS];
     uint32_t occupied = 0;
     memset(seen, 0, sizeof seen);
-    for (uint64_t v = 0; v < stream_count(&f->scan.streams[SCAN_POSITIONS]); v++) {
+    for (uint64_t v = 0; v < scan_count(&f->scan, SCAN_POSITIONS); v++) {
         float p[3];
-        assert_int_equal(vox_spill_read(&f->scan.streams[SCAN_POSITIONS].spill, 12 * v, 12, p), 0);
+        assert_int_equal(stream_read(&f->scan.streams[SCAN_POSITIONS], v, 1, p), 0);
         const uint64_t bucket =
             morton_point_key(cube, p) >> (MORTON_KEY_BITS - 3 * buckets->levels);
         assert_int_equal(vertex_bucket(buckets, v), bucket);
@@ -59,7 +59,7 @@ enum row { ROW_SLOW, ROW_FAST, ROW_NONE, ROW_COUNT };
 
 static void fill_rows(struct fixture *f, enum row row, uint32_t vertices)
 {
-    struct spill_buffer *spill = &f->scan.streams[SCAN_POSITIONS].spill;
+    struct attribute_stream *stream = &f->scan.streams[SCAN_POSITIONS];
     uint64_t seed = 5;
     for (uint32_t v = 0; v < vertices; v++) {
         const uint32_t length = row == ROW_SLOW ? 10000 : 200;
@@ -69,12 +69,12 @@ static void fill_rows(struct fixture *f, enum row row, uint32_t vertices)
         uint64_t capacity;
         for (int axis = 0; row == ROW_NONE && axis < 3; axis++)
             p[axis] = (float)(sort_random(&seed) % 1001);
-        assert_int_equal(vox_spill_reserve(spill, &at, &capacity), 0);
+        assert_int_equal(vox_stream_reserve(stream, &at, &capacity), 0);
         memcpy(at, p, 12);
-        vox_spill_advance(spill, 12);
+        assert_int_equal(vox_stream_advance(stream, 1), 0);
     }
-    assert_int_equal(vox_spill_spill(spill), 0);
-    assert_int_equal(vox_spill_finish(spill), 0);
+    assert_int_equal(vox_stream_evict(stream), 0);
+    assert_int_equal(vox_stream_finish(stream), 0);
 }
 
 /* Tables of runs, of two bytes a vertex and of one, of each number of levels, and all made coarser.

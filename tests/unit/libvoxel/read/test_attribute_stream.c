@@ -1,6 +1,6 @@
-/* Tests spill buffers: appended bytes are read back, from memory and from a file, while another
- * thread prefaults memory; and memory is resident before it is filled. */
-#include "libvoxel/read/spill_buffer.h"
+/* Tests attribute streams: appended elements are read back, from memory and from a file, while
+ * another thread prefaults memory; and memory is resident before it is filled. */
+#include "libvoxel/read/attribute_stream.h"
 #include "tests/unit/test.h"
 
 #include <pthread.h>
@@ -8,6 +8,8 @@
 #include <sys/mman.h>
 
 #define MIB ((uint64_t)1 << 20)
+
+enum { ELEMENT = 16 }; /* bytes */
 
 static struct bsq_ctx *create(void)
 {
@@ -22,35 +24,35 @@ static uint8_t expected_byte(uint64_t at)
     return (uint8_t)(at * 7 + at / 251 + 1);
 }
 
-static void append(struct spill_buffer *spill, uint64_t size)
+static void append(struct attribute_stream *stream, uint64_t count)
 {
-    for (uint64_t done = 0; done < size;) {
+    for (uint64_t done = 0; done < count;) {
         uint8_t *at;
-        uint64_t capacity, begin = spill->bytes;
-        assert_int_equal(vox_spill_reserve(spill, &at, &capacity), 0);
-        capacity = capacity < 5000 ? capacity : 5000;
-        capacity = capacity < size - done ? capacity : size - done;
-        for (uint64_t i = 0; i < capacity; i++)
+        uint64_t capacity, begin = stream->count * ELEMENT;
+        assert_int_equal(vox_stream_reserve(stream, &at, &capacity), 0);
+        capacity = capacity < 416 ? capacity : 416;
+        capacity = capacity < count - done ? capacity : count - done;
+        for (uint64_t i = 0; i < capacity * ELEMENT; i++)
             at[i] = expected_byte(begin + i);
-        vox_spill_advance(spill, capacity);
+        assert_int_equal(vox_stream_advance(stream, capacity), 0);
         done += capacity;
     }
 }
 
-static void expect_content(struct spill_buffer *spill, uint64_t size)
+static void expect_content(struct attribute_stream *stream, uint64_t count)
 {
-    uint8_t *all = malloc(size);
+    uint8_t *all = malloc(count * ELEMENT);
     assert_non_null(all);
-    assert_int_equal(spill->bytes, size);
-    assert_int_equal(vox_spill_read(spill, 0, size, all), 0);
-    for (uint64_t i = 0; i < size; i++)
+    assert_int_equal(stream->count, count);
+    assert_int_equal(stream_read(stream, 0, count, all), 0);
+    for (uint64_t i = 0; i < count * ELEMENT; i++)
         if (all[i] != expected_byte(i))
             fail_msg("byte %llu", (unsigned long long)i);
     free(all);
 }
 
 struct prefaulter {
-    struct spill_buffer *spill;
+    struct attribute_stream *stream;
     atomic_bool stop;
 };
 
@@ -58,30 +60,34 @@ static void *prefault(void *arg)
 {
     struct prefaulter *prefaulter = arg;
     while (!atomic_load(&prefaulter->stop))
-        vox_spill_prefault(prefaulter->spill);
+        vox_stream_prefault(prefaulter->stream);
     return NULL;
 }
 
 TEST(content_stays_while_another_thread_prefaults)
 {
-    static const uint64_t segments[] = {100000, 5 * MIB + 4096, 6 * MIB};
+    static const uint32_t shifts[] = {12, 17, 19};
     for (int s = 0; s < 3; s++)
-        for (int spilled = 0; spilled < 2; spilled++) {
+        for (int evicted = 0; evicted < 2; evicted++) {
             struct bsq_ctx *ctx = create();
-            struct spill_buffer spill;
-            struct prefaulter prefaulter = {.spill = &spill};
+            struct attribute_stream stream;
+            struct prefaulter prefaulter = {.stream = &stream};
             pthread_t thread;
-            vox_spill_init(&spill, ctx, "testing", "/tmp/x", segments[s]);
+            assert_int_equal(vox_stream_init(&stream, ctx, "testing", "/tmp/x", ELEMENT, shifts[s]),
+                             0);
             assert_int_equal(pthread_create(&thread, NULL, prefault, &prefaulter), 0);
-            append(&spill, 17 * MIB);
-            if (spilled)
-                assert_int_equal(vox_spill_spill(&spill), 0);
-            append(&spill, 3 * MIB);
+            append(&stream, 17 * MIB / ELEMENT + 77);
+            if (evicted)
+                assert_int_equal(vox_stream_evict(&stream), 0);
+            append(&stream, 3 * MIB / ELEMENT);
             atomic_store(&prefaulter.stop, true);
             assert_int_equal(pthread_join(thread, NULL), 0);
-            assert_int_equal(vox_spill_finish(&spill), 0);
-            expect_content(&spill, 20 * MIB);
-            vox_spill_free(&spill);
+            assert_int_equal(bsq_spill_in_file(&stream.spill), evicted);
+            assert_true(!evicted || stream_memory(&stream) == (uint64_t)ELEMENT << shifts[s]);
+            assert_int_equal(vox_stream_finish(&stream), 0);
+            assert_true(evicted ? stream_memory(&stream) == 0 : stream_memory(&stream) >= 20 * MIB);
+            expect_content(&stream, 20 * MIB / ELEMENT + 77);
+            vox_stream_free(&stream);
             test_context_end(ctx);
         }
 }
@@ -104,36 +110,36 @@ static uint64_t resident(uint8_t *at, uint64_t size)
 TEST(memory_is_there_before_it_is_filled)
 {
     struct bsq_ctx *ctx = create();
-    struct spill_buffer spill;
+    struct attribute_stream stream;
     uint8_t *at;
     uint64_t capacity;
-    vox_spill_init(&spill, ctx, "testing", "/tmp/x", 32 * MIB);
-    vox_spill_prefault(&spill); /* nothing to prefault yet */
-    assert_int_equal(vox_spill_reserve(&spill, &at, &capacity), 0);
+    assert_int_equal(vox_stream_init(&stream, ctx, "testing", "/tmp/x", ELEMENT, 21), 0);
+    vox_stream_prefault(&stream); /* nothing to prefault yet */
+    assert_int_equal(vox_stream_reserve(&stream, &at, &capacity), 0);
     uint8_t *segment = at;
     if ((uintptr_t)segment % (2 * MIB) != 0) { /* address sanitizers align blocks in another way */
-        vox_spill_free(&spill);
+        vox_stream_free(&stream);
         bsq_ctx_destroy(ctx);
         skip();
     }
     /* Some systems do not support this, and emulators say that they did it. */
     if (madvise(segment, 1, MADV_POPULATE_WRITE) != 0 ||
         resident(segment, (uint64_t)sysconf(_SC_PAGE_SIZE)) == 0) {
-        vox_spill_free(&spill);
+        vox_stream_free(&stream);
         bsq_ctx_destroy(ctx);
         skip();
     }
     for (int i = 0; i < 10; i++)
-        vox_spill_prefault(&spill);
+        vox_stream_prefault(&stream);
     assert_int_equal(resident(segment, 4 * MIB), 4 * MIB);
     assert_int_equal(resident(segment + 4 * MIB, 28 * MIB), 0);
-    append(&spill, 8 * MIB);
+    append(&stream, 8 * MIB / ELEMENT);
     for (int i = 0; i < 10; i++)
-        vox_spill_prefault(&spill);
+        vox_stream_prefault(&stream);
     assert_int_equal(resident(segment, 12 * MIB), 12 * MIB);
     assert_int_equal(resident(segment + 12 * MIB, 20 * MIB), 0);
-    expect_content(&spill, 8 * MIB);
-    vox_spill_free(&spill);
+    expect_content(&stream, 8 * MIB / ELEMENT);
+    vox_stream_free(&stream);
     bsq_ctx_destroy(ctx);
 }
 
