@@ -16,7 +16,6 @@
 
 #include "base/context.h"
 #include "base/parallel.h"
-#include "base/sort_array.h"
 #include "base/text.h"
 #include "base/tile_files.h"
 #include "formats/texture/image_rows.h"
@@ -36,9 +35,9 @@ struct image {
 
 /* What a source is, and all that are equal to it. */
 struct texture {
-    struct fmt_texture_source source; /* with a path of its own */
-    uint32_t first;                   /* image; more images follow, in the order of `files` */
-    struct bsq_tile_files files;      /* empty for a texture of one file */
+    struct fmt_texture_source source;
+    uint32_t first;              /* image; more images follow, in the order of `files` */
+    struct bsq_tile_files files; /* empty for a texture of one file */
     /* Of each tile, and at last of what lies outside of all: 1 if a lookup found it missing, 2 if
      * that was told. NULL: the texture has one file. */
     atomic_uchar *missing;
@@ -47,8 +46,10 @@ struct texture {
 struct fmt_textures {
     struct bsq_ctx *ctx;
     struct fmt_blocks blocks;
-    bool keeps;           /* texels are kept for lookups */
-    uint32_t *texture_of; /* of each source; UINT32_MAX: it has no path */
+    bool keeps; /* texels are kept for lookups */
+    struct bsq_tally tally;
+    struct bsq_texts paths; /* of the sources */
+    uint32_t *texture_of;   /* of each source; UINT32_MAX: it has no path */
     struct texture *list;
     uint64_t count, capacity;
     struct image *images;
@@ -56,26 +57,6 @@ struct fmt_textures {
 };
 
 /* ---- listing ---- */
-
-/* A source as it is sorted. */
-struct entry {
-    const struct fmt_texture_source *source;
-    uint32_t number;
-};
-
-static int compare_sources(const struct fmt_texture_source *a, const struct fmt_texture_source *b)
-{
-    const int order = strcmp(a->path, b->path);
-    return order ? order
-                 : 4 * (a->data - b->data) + 2 * (a->alpha - b->alpha) + (a->srgb - b->srgb);
-}
-
-static int compare_entries(const void *a, const void *b)
-{
-    const struct entry *x = a, *y = b;
-    const int order = compare_sources(x->source, y->source);
-    return order ? order : (x->number > y->number) - (x->number < y->number);
-}
 
 static int add_image(struct fmt_textures *t, const char *path)
 {
@@ -89,14 +70,13 @@ static int add_image(struct fmt_textures *t, const char *path)
     return status;
 }
 
-/* Adds a texture and its images. */
-static int texture_add(struct fmt_textures *t, const struct fmt_texture_source *source)
+/* Adds a texture and its images. path: a copy of the source's */
+static int texture_add(struct fmt_textures *t, const struct fmt_texture_source *source,
+                       const char *path)
 {
     struct bsq_ctx *ctx = t->ctx;
-    char *path = NULL;
     int status;
     BSQ_TRY(bsq_grow(ctx, "textures", t->count + 1, sizeof *t->list, &t->list, &t->capacity));
-    BSQ_TRY(bsq_text_copy(ctx, source->path, &path));
     struct texture *texture = &t->list[t->count++];
     *texture = (struct texture){.source = *source, .first = (uint32_t)t->image_count};
     texture->source.path = path;
@@ -116,31 +96,28 @@ done:
 static int texture_list(struct fmt_textures *t, const struct fmt_texture_source *sources,
                         uint32_t count)
 {
-    struct entry *entries = NULL;
-    uint32_t used = 0;
-    int status;
-    BSQ_TRY(bsq_alloc(t->ctx, "textures", count + UINT64_C(1), sizeof *entries, &entries));
+    struct bsq_ctx *ctx = t->ctx;
+    uint32_t *known = NULL; /* of each path: its textures, by what else a source says */
+    uint64_t capacity = 0, paths = 0, path = 0;
+    int status = 0;
     for (uint32_t i = 0; i < count; i++) {
+        const struct fmt_texture_source *source = &sources[i];
         t->texture_of[i] = UINT32_MAX;
-        if (sources[i].path)
-            entries[used++] = (struct entry){&sources[i], i};
-    }
-    bsq_sort(entries, used, sizeof *entries, compare_entries);
-    /* First the number of the first equal source, then the number of its texture. */
-    for (uint32_t i = 0; i < used; i++) {
-        const bool again = i > 0 && compare_sources(entries[i - 1].source, entries[i].source) == 0;
-        t->texture_of[entries[i].number] =
-            again ? t->texture_of[entries[i - 1].number] : entries[i].number;
-    }
-    for (uint32_t i = 0; i < count; i++) {
-        if (t->texture_of[i] == i)
-            BSQ_TRY(texture_add(t, &sources[i]));
-        if (t->texture_of[i] != UINT32_MAX)
-            t->texture_of[i] =
-                t->texture_of[i] == i ? (uint32_t)(t->count - 1) : t->texture_of[t->texture_of[i]];
+        if (!source->path)
+            continue;
+        BSQ_TRY(bsq_texts_add(ctx, &t->tally, &t->paths, source->path, &path));
+        BSQ_TRY(bsq_grow(ctx, "textures", 8 * t->paths.count, sizeof *known, &known, &capacity));
+        for (; paths < t->paths.count; paths++)
+            memset(known + 8 * paths, 0xff, 8 * sizeof *known);
+        uint32_t *texture = &known[8 * path + 4 * source->data + 2 * source->alpha + source->srgb];
+        if (*texture == UINT32_MAX) {
+            *texture = (uint32_t)t->count;
+            BSQ_TRY(texture_add(t, source, t->paths.list[path]));
+        }
+        t->texture_of[i] = *texture;
     }
 done:
-    bsq_free(t->ctx, entries);
+    bsq_free(ctx, known);
     return status;
 }
 
@@ -323,12 +300,13 @@ void fmt_textures_close(struct fmt_textures *t)
     for (uint64_t i = 0; i < t->count; i++) {
         bsq_tile_files_free(ctx, &t->list[i].files);
         bsq_free(ctx, t->list[i].missing);
-        bsq_free(ctx, (char *)t->list[i].source.path);
     }
     fmt_blocks_free(&t->blocks);
     bsq_free(ctx, t->images);
     bsq_free(ctx, t->list);
     bsq_free(ctx, t->texture_of);
+    bsq_texts_free(&t->paths);
+    bsq_tally_release(ctx, &t->tally);
     bsq_free(ctx, t);
 }
 
