@@ -170,8 +170,7 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     struct fmt_mesh_reader *reader = NULL;
     struct bsq_ctx *ctx = scan->ctx;
     struct fmt_mesh_estimate estimate = {0};
-    struct scan_textures textures = {.decode = options->check_textures,
-                                     .channels = options->channels,
+    struct scan_textures textures = {.channels = options->channels,
                                      .channel_count = options->channel_count,
                                      .only_channels = options->texture_path != NULL};
     const double start = bsq_seconds_now();
@@ -332,8 +331,7 @@ done:
 
 void vox_sort_defaults(struct vox_sort_options *options)
 {
-    *options = (struct vox_sort_options){
-        .size = sizeof *options, .check_textures = true, .tells_unkept = true};
+    *options = (struct vox_sort_options){.size = sizeof *options, .tells_unkept = true};
 }
 
 /* A handle is a few bytes and a job may have a budget of only vox_memory_min(), so it is not

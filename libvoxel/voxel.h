@@ -86,9 +86,6 @@ struct vox_sort_options {
     /** With temp_tris: makes the file tris_path too. vox_voxelize() reads the chunks of this job,
      * even if another job replaces that file meanwhile. */
     bool keeps_tris;
-    /** Decode all textures before the scan is read, to find damaged ones. Otherwise these are found
-     * when the grid is made. */
-    bool check_textures;
     /** Warn of textures of materials that belong to none of the channels: their content is lost. */
     bool tells_unkept;
     /** Copy the images of textures into the chunk file tris_path, except for textures of tiles. */

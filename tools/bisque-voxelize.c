@@ -104,7 +104,6 @@ static int voxelize_tool_sort_scan(struct voxelize_job *job)
     options->tris_path = job->tris_path;
     options->temp_tris = job->temp_tris;
     options->keeps_tris = !job->temporary_tris;
-    options->check_textures = true;
     status = vox_sort(ctx, options, &job->sort);
 done:
     return status;

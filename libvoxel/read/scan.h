@@ -8,6 +8,7 @@
 #ifndef VOX_READ_SCAN_H
 #define VOX_READ_SCAN_H
 
+#include "base/text.h"
 #include "formats/mesh/mesh_reader.h"
 #include "formats/chunks/tris.h"
 #include "libvoxel/read/attribute_stream.h"
@@ -99,17 +100,24 @@ struct scan_face_check {
     struct scan_loss lost[FMT_MESH_KIND_COUNT];
 };
 
-/* A texture that has been checked. */
+/* A texture that is checked. */
 struct scan_texture {
-    char *path;
-    bool good;
+    /* The first and the latest material that names it, NULL if the options do, and the number of
+     * further ones; where the first one is. Valid while it is checked. */
+    const struct fmt_material *first, *latest;
+    uint64_t others;
+    const char *place; /* as in struct fmt_material_channel */
+    bool good;         /* it can be used */
+    bool alpha;        /* and has an alpha channel */
 };
 
-/* The textures that have been checked, sorted by path. All zero at first. */
+/* The textures that have been checked. All zero at first. */
 struct scan_textures {
-    struct scan_texture *list;
+    struct bsq_tally tally;
+    struct bsq_texts paths;
+    struct scan_texture *list; /* one for each path */
     uint64_t count, capacity;
-    bool decode; /* read the images, and not only their directory entries */
+    uint64_t checked; /* the first of these */
     /* Channels whose textures are checked too; only_channels: no others are. */
     const struct vox_channel *channels;
     uint32_t channel_count;
@@ -214,14 +222,17 @@ int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader);
 int vox_textures_preview(struct bsq_ctx *ctx, struct fmt_mesh_reader *reader,
                          const char *texture_path, bool has_texcoords,
                          struct scan_textures *textures);
-/* Notes the textures of materials as inputs, and checks those that have not been checked yet. */
+/* Notes the textures of materials as inputs, and checks those that have not been checked yet:
+ * decodes them once. */
 int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *materials,
                        bool has_texcoords, struct scan_textures *textures);
+/* Checks alike a texture of the options, which must be good. */
+int vox_textures_check_image(struct bsq_ctx *ctx, const char *path, struct scan_textures *textures);
 /* Returns whether a texture was checked and can be used. */
 bool vox_textures_have(const struct scan_textures *textures, const char *path);
 /* If the scan keeps opacity, makes the alpha channels of colour textures the opacity of their
- * materials, unless a material names another good texture of opacity. Decodes these textures. path:
- * the colour texture of all materials; NULL: their own ones, if these were checked and are good. */
+ * materials, unless a material names another good texture of opacity. path: the colour texture of
+ * all materials; NULL: their own ones. They were checked. */
 int vox_textures_use_alpha(struct scan *scan, const struct scan_textures *textures,
                            const char *path, struct fmt_materials *materials);
 void vox_textures_free(struct bsq_ctx *ctx, struct scan_textures *textures);

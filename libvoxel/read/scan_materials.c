@@ -8,7 +8,6 @@
 #include "base/context.h"
 #include "base/channels.h"
 #include "base/tile_files.h"
-#include "base/text.h"
 #include "libvoxel/read/scan.h"
 
 #include <errno.h>
@@ -439,20 +438,17 @@ static int use_materials(struct scan *scan, struct fmt_mesh_reader *reader, cons
                          struct scan_textures *textures)
 {
     const bool has_texcoords = scan_count(scan, SCAN_TEXCOORDS) > 0;
-    const bool checks = !image || scan->channel_count > 0;
     struct fmt_materials found = {0};
     struct fmt_material *rest;
     int status = 0;
     if (image)
-        BSQ_TRY(bsq_note_texture(scan->ctx, image, "the texture"));
+        BSQ_TRY(vox_textures_check_image(scan->ctx, image, textures));
     if (!image || keeps_materials(scan))
         BSQ_TRY(fmt_mesh_read_materials(reader, &found));
     BSQ_TRY(fmt_materials_add(scan->ctx, &found, &rest)); /* of faces without a material */
-    if (checks)
+    if (!image || scan->channel_count > 0)
         BSQ_TRY(vox_textures_check(scan->ctx, &found, has_texcoords, textures));
     BSQ_TRY(vox_textures_use_alpha(scan, textures, image, &found));
-    if (checks && image) /* again, for its alpha */
-        BSQ_TRY(vox_textures_check(scan->ctx, &found, has_texcoords, textures));
     BSQ_TRY(drop_optional(scan, textures, &found));
     BSQ_TRY(warn_of_unkept(scan, &found));
     scan->lost_colors = !image && colors_are_lost(scan, textures, &found);
