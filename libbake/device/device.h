@@ -6,7 +6,7 @@
 #ifndef BAKE_DEVICE_DEVICE_H
 #define BAKE_DEVICE_DEVICE_H
 
-#include "libbake/device/backend/backend.h"
+#include "libbake/device/gpu/gpu.h"
 #include "libbake/device/job/job.h"
 #include "libbake/device/native/native.h"
 

@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "libbake/device/compute/compute.h"
+#include "libbake/device/gpu/gpu.h"
 #include "libbake/device/cuda/cuda.h"
 #include "libbake/device/cuda/cuda_api.h"
 
@@ -30,7 +30,7 @@ struct stream {
 };
 
 struct cuda {
-    struct bake_compute compute;
+    struct bake_gpu gpu;
     struct bake_cuda_api api;
     struct bake_cuda_device device;
     CUcontext context;
@@ -47,25 +47,24 @@ struct cuda {
             return (struct bake_failure){#name, code_};                                            \
     } while (0)
 
-static const char *cuda_describe(const struct bake_compute *compute, int code, char *buffer)
+static const char *cuda_describe(const struct bake_gpu *gpu, int code, char *buffer)
 {
-    _Static_assert((int)BAKE_COMPUTE_TEXT >= (int)BAKE_CUDA_TEXT, "errors fit");
-    return bake_cuda_error(&((const struct cuda *)compute)->api, code, buffer);
+    _Static_assert((int)BAKE_GPU_TEXT >= (int)BAKE_CUDA_TEXT, "errors fit");
+    return bake_cuda_error(&((const struct cuda *)gpu)->api, code, buffer);
 }
 
-static struct bake_failure cuda_attach(struct bake_compute *compute)
+static struct bake_failure cuda_attach(struct bake_gpu *gpu)
 {
-    struct cuda *cuda = (struct cuda *)compute;
+    struct cuda *cuda = (struct cuda *)gpu;
     CALL(cuCtxSetCurrent, cuda->context);
     return BAKE_NO_FAILURE;
 }
 
 /* ---- memory ---- */
 
-static struct bake_failure cuda_allocate(struct bake_compute *compute, uint64_t bytes,
-                                         bake_memory *out)
+static struct bake_failure cuda_allocate(struct bake_gpu *gpu, uint64_t bytes, bake_memory *out)
 {
-    struct cuda *cuda = (struct cuda *)compute;
+    struct cuda *cuda = (struct cuda *)gpu;
     CUdeviceptr memory = 0;
     if (bytes > 0)
         CALL(cuMemAlloc, &memory, bytes);
@@ -73,9 +72,9 @@ static struct bake_failure cuda_allocate(struct bake_compute *compute, uint64_t 
     return BAKE_NO_FAILURE;
 }
 
-static void cuda_release(struct bake_compute *compute, bake_memory memory)
+static void cuda_release(struct bake_gpu *gpu, bake_memory memory)
 {
-    ((struct cuda *)compute)->api.cuMemFree(memory);
+    ((struct cuda *)gpu)->api.cuMemFree(memory);
 }
 
 /* Returns the device's free memory less a sixteenth of all: at the first launch the driver takes
@@ -92,9 +91,9 @@ static struct bake_failure free_memory(const struct cuda *cuda, uint64_t *out)
 
 /* ---- streams ---- */
 
-static void cuda_close_stream(struct bake_compute *compute, struct bake_stream *stream)
+static void cuda_close_stream(struct bake_gpu *gpu, struct bake_stream *stream)
 {
-    const struct bake_cuda_api *api = &((struct cuda *)compute)->api;
+    const struct bake_cuda_api *api = &((struct cuda *)gpu)->api;
     struct stream *own = stream->own;
     if (own->stream) {
         api->cuStreamSynchronize(own->stream);
@@ -123,10 +122,9 @@ static struct bake_failure elapsed(const struct cuda *cuda, CUevent from, CUeven
     return BAKE_NO_FAILURE;
 }
 
-static struct bake_failure cuda_open_stream(struct bake_compute *compute,
-                                            struct bake_stream *stream)
+static struct bake_failure cuda_open_stream(struct bake_gpu *gpu, struct bake_stream *stream)
 {
-    struct cuda *cuda = (struct cuda *)compute;
+    struct cuda *cuda = (struct cuda *)gpu;
     struct stream *own = stream->own;
     CALL(cuStreamCreate, &own->stream, CU_STREAM_NON_BLOCKING);
     for (int i = 0; i <= BAKE_STEPS; i++)
@@ -139,11 +137,11 @@ static struct bake_failure cuda_open_stream(struct bake_compute *compute,
     return elapsed(cuda, cuda->origin, own->before, &own->before_time);
 }
 
-static struct bake_failure cuda_send(struct bake_compute *compute, struct bake_stream *stream,
+static struct bake_failure cuda_send(struct bake_gpu *gpu, struct bake_stream *stream,
                                      const char *from, uint64_t bytes, bake_memory to, uint64_t at,
                                      int step)
 {
-    struct cuda *cuda = (struct cuda *)compute;
+    struct cuda *cuda = (struct cuda *)gpu;
     struct stream *own = stream->own;
     if (step == 0)
         CALL(cuEventRecord, own->events[step], own->stream);
@@ -152,10 +150,10 @@ static struct bake_failure cuda_send(struct bake_compute *compute, struct bake_s
     return BAKE_NO_FAILURE;
 }
 
-static struct bake_failure cuda_fetch(struct bake_compute *compute, struct bake_stream *stream,
+static struct bake_failure cuda_fetch(struct bake_gpu *gpu, struct bake_stream *stream,
                                       uint64_t bytes)
 {
-    struct cuda *cuda = (struct cuda *)compute;
+    struct cuda *cuda = (struct cuda *)gpu;
     struct stream *own = stream->own;
     CALL(cuEventRecord, own->events[BAKE_TEXELS], own->stream);
     CALL(cuMemcpyDtoHAsync, stream->host[0], stream->texels, bytes, own->stream);
@@ -164,25 +162,24 @@ static struct bake_failure cuda_fetch(struct bake_compute *compute, struct bake_
 }
 
 /* An event that was never recorded counts as over. */
-static struct bake_failure cuda_wait(struct bake_compute *compute, struct bake_stream *stream,
-                                     int step)
+static struct bake_failure cuda_wait(struct bake_gpu *gpu, struct bake_stream *stream, int step)
 {
-    struct cuda *cuda = (struct cuda *)compute;
+    struct cuda *cuda = (struct cuda *)gpu;
     CALL(cuEventSynchronize, ((struct stream *)stream->own)->events[step + 1]);
     return BAKE_NO_FAILURE;
 }
 
-static struct bake_failure cuda_finish(struct bake_compute *compute, struct bake_stream *stream)
+static struct bake_failure cuda_finish(struct bake_gpu *gpu, struct bake_stream *stream)
 {
-    struct cuda *cuda = (struct cuda *)compute;
+    struct cuda *cuda = (struct cuda *)gpu;
     CALL(cuStreamSynchronize, ((struct stream *)stream->own)->stream);
     return BAKE_NO_FAILURE;
 }
 
-static struct bake_failure cuda_launch(struct bake_compute *compute, struct bake_stream *stream,
+static struct bake_failure cuda_launch(struct bake_gpu *gpu, struct bake_stream *stream,
                                        const struct bake_launch *launch)
 {
-    const struct cuda *cuda = (const struct cuda *)compute;
+    const struct cuda *cuda = (const struct cuda *)gpu;
     CUstream own = ((struct stream *)stream->own)->stream;
     const unsigned width = launch->side ? launch->side : BLOCK_WIDTH, height = BLOCK / width;
     void *arguments[BAKE_ARGUMENTS_MAX];
@@ -199,9 +196,9 @@ static struct bake_failure cuda_launch(struct bake_compute *compute, struct bake
     return (struct bake_failure){"cuLaunchKernel", code == CUDA_ERROR_NOT_READY ? 0 : code};
 }
 
-static struct bake_failure cuda_times(struct bake_compute *compute, struct bake_stream *stream)
+static struct bake_failure cuda_times(struct bake_gpu *gpu, struct bake_stream *stream)
 {
-    struct cuda *cuda = (struct cuda *)compute;
+    struct cuda *cuda = (struct cuda *)gpu;
     struct stream *own = stream->own;
     CUevent from = own->before;
     double at[BAKE_STEPS + 1], since = own->before_time, seconds;
@@ -218,20 +215,6 @@ static struct bake_failure cuda_times(struct bake_compute *compute, struct bake_
         stream->times[i] = (struct bake_span){at[i], at[i + 1]};
     return BAKE_NO_FAILURE;
 }
-
-static const struct bake_compute_calls calls = {.describe = cuda_describe,
-                                                .attach = cuda_attach,
-                                                .allocate = cuda_allocate,
-                                                .release = cuda_release,
-                                                .stream_bytes = sizeof(struct stream),
-                                                .open_stream = cuda_open_stream,
-                                                .close_stream = cuda_close_stream,
-                                                .send = cuda_send,
-                                                .launch = cuda_launch,
-                                                .fetch = cuda_fetch,
-                                                .wait = cuda_wait,
-                                                .finish = cuda_finish,
-                                                .times = cuda_times};
 
 /* ---- the kernel ---- */
 
@@ -339,11 +322,11 @@ static int load_kernel(struct cuda *cuda, int kernel)
     CUresult code = cuda->api.cuModuleLoadDataEx(module, bake_cuda_ptx, 3, options, values);
     if (code != CUDA_SUCCESS) {
         describe_refusal(&cuda->api, code, log, reason);
-        return bsq_fail(cuda->compute.ctx, BSQ_ENODEVICE, "%s: %s", cuda->device.name, reason);
+        return bsq_fail(cuda->gpu.ctx, BSQ_ENODEVICE, "%s: %s", cuda->device.name, reason);
     }
     code =
         cuda->api.cuModuleGetFunction(&cuda->kernels[kernel], *module, bake_kernel_names[kernel]);
-    return bake_compute_fail(&cuda->compute, (struct bake_failure){"cuModuleGetFunction", code});
+    return bake_gpu_fail(&cuda->gpu, (struct bake_failure){"cuModuleGetFunction", code});
 }
 
 static struct bake_failure cuda_open_context(struct cuda *cuda)
@@ -358,57 +341,56 @@ static struct bake_failure cuda_open_context(struct cuda *cuda)
     return BAKE_NO_FAILURE;
 }
 
-static int cuda_prepare(struct cuda *cuda, const struct bake_job *job)
+static int cuda_open(struct bake_gpu *gpu, uint32_t number, const struct bake_job *job)
 {
-    struct bake_compute *compute = &cuda->compute;
-    uint64_t limit;
+    struct cuda *cuda = (struct cuda *)gpu;
     int status;
-    snprintf(compute->base.name, sizeof compute->base.name, "%.110s (CUDA)", cuda->device.name);
-    BSQ_TRY(bake_compute_fail(compute, cuda_open_context(cuda)));
+    BSQ_TRY(cuda_open_driver(gpu->ctx, number, &cuda->api, &cuda->device));
+    snprintf(gpu->device_name, sizeof gpu->device_name, "%s", cuda->device.name);
+    snprintf(gpu->name, sizeof gpu->name, "%.110s (CUDA)", cuda->device.name);
+    gpu->buffer_bytes = gpu->array_bytes = UINT64_MAX;
+    BSQ_TRY(bake_gpu_fail(gpu, cuda_open_context(cuda)));
     BSQ_TRY(load_kernel(cuda, BAKE_PATCH));
     if (bake_ray_count(&job->params) > 0)
         BSQ_TRY(load_kernel(cuda, BAKE_LOOK));
-    BSQ_TRY(bake_compute_fail(compute, free_memory(cuda, &limit)));
-    status = bake_compute_prepare(compute, job, limit, UINT64_MAX);
+    status = bake_gpu_fail(gpu, free_memory(cuda, &gpu->memory_bytes));
 done:
     return status;
 }
 
-static void cuda_close(struct bake_backend *backend)
+static void cuda_close(struct bake_gpu *gpu)
 {
-    struct cuda *cuda = (struct cuda *)backend;
-    if (cuda->context) {
-        cuda->api.cuCtxSetCurrent(cuda->context);
-        bake_compute_unload(&cuda->compute);
-        if (cuda->origin)
-            cuda->api.cuEventDestroy(cuda->origin);
-        for (int i = 0; i < BAKE_KERNEL_COUNT; i++)
-            if (cuda->modules[i])
-                cuda->api.cuModuleUnload(cuda->modules[i]);
-        cuda->api.cuCtxSetCurrent(NULL);
-        cuda->api.cuDevicePrimaryCtxRelease(cuda->device.device);
-    }
-    bake_compute_free(&cuda->compute);
+    const struct cuda *cuda = (const struct cuda *)gpu;
+    if (!cuda->context)
+        return;
+    cuda->api.cuCtxSetCurrent(cuda->context);
+    if (cuda->origin)
+        cuda->api.cuEventDestroy(cuda->origin);
+    for (int i = 0; i < BAKE_KERNEL_COUNT; i++)
+        if (cuda->modules[i])
+            cuda->api.cuModuleUnload(cuda->modules[i]);
+    cuda->api.cuCtxSetCurrent(NULL);
+    cuda->api.cuDevicePrimaryCtxRelease(cuda->device.device);
 }
 
-static int cuda_open(struct bsq_ctx *ctx, uint32_t number, const struct bake_job *job,
-                     struct bake_backend **out)
-{
-    struct cuda *cuda;
-    int status = bsq_calloc(ctx, "CUDA device", 1, sizeof *cuda, &cuda);
-    *out = NULL;
-    if (status < 0)
-        return status;
-    status = cuda_open_driver(ctx, number, &cuda->api, &cuda->device);
-    bake_compute_init(&cuda->compute, ctx, cuda->device.name, &calls, cuda_close);
-    if (status == 0)
-        status = cuda_prepare(cuda, job);
-    if (status < 0)
-        cuda_close(&cuda->compute.base);
-    else
-        *out = &cuda->compute.base;
-    return status;
-}
-
-const struct bake_device_kind bake_cuda_kind = {
-    .name = "cuda", .drivers = "CUDA", .open = cuda_open, .list = bake_cuda_list};
+const struct bake_driver bake_cuda_driver = {
+    .name = "cuda",
+    .title = "CUDA",
+    .list = bake_cuda_list,
+    .open = cuda_open,
+    .close = cuda_close,
+    .gpu_bytes = sizeof(struct cuda),
+    .stream_bytes = sizeof(struct stream),
+    .describe = cuda_describe,
+    .attach = cuda_attach,
+    .allocate = cuda_allocate,
+    .release = cuda_release,
+    .open_stream = cuda_open_stream,
+    .close_stream = cuda_close_stream,
+    .send = cuda_send,
+    .launch = cuda_launch,
+    .fetch = cuda_fetch,
+    .wait = cuda_wait,
+    .finish = cuda_finish,
+    .times = cuda_times,
+};

@@ -1,12 +1,11 @@
-/* cuda.h - NVIDIA GPUs as devices, through the driver API. Takes a job; gives texels.
- */
+/* cuda.h - NVIDIA GPUs as devices, through the driver API. */
 #ifndef BAKE_DEVICE_CUDA_CUDA_H
 #define BAKE_DEVICE_CUDA_CUDA_H
 
-#include "libbake/device/backend/backend.h"
+#include "libbake/device/gpu/gpu.h"
 
-extern const struct bake_device_kind bake_cuda_kind;
-/* The kind's list(), for bisque-devices. */
-void bake_cuda_list(struct bsq_ctx *ctx, struct bake_device_list *out);
+extern const struct bake_driver bake_cuda_driver;
+/* The driver's list(), for bisque-devices. */
+void bake_cuda_list(struct bake_device_list *out);
 
 #endif

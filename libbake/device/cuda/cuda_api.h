@@ -8,7 +8,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "libbake/device/backend/backend.h"
+#include "libbake/device/driver/driver.h"
 
 typedef int CUresult;
 typedef int CUdevice;

@@ -104,12 +104,11 @@ CUresult bake_cuda_device(const struct bake_cuda_api *api, int index, struct bak
     return code;
 }
 
-void bake_cuda_list(struct bsq_ctx *ctx, struct bake_device_list *out)
+void bake_cuda_list(struct bake_device_list *out)
 {
     struct bake_cuda_api api = {0};
     char text[BAKE_CUDA_TEXT];
     int count;
-    (void)ctx;
     const bool works = bake_cuda_load(&api, &count, out->why, &out->faulty);
     if (!bake_cuda_ptx[0]) {
         out->faulty = works;

@@ -71,10 +71,10 @@ bool bake_probe_answer(int to, const struct bake_device_list *list)
 
 /* Runs the program, and reads its answer as far as there is one. Also without memory for a process,
  * the job can go on without GPUs. Returns the bytes read or a status. */
-static int ask(struct bsq_ctx *ctx, const struct bake_device_kind *kind, char *path,
+static int ask(struct bsq_ctx *ctx, const char *name, const char *title, char *path,
                struct answer *out, struct fmt_program_end *end)
 {
-    char *const arguments[] = {path, (char *)kind->name, NULL};
+    char *const arguments[] = {path, (char *)(uintptr_t)name, NULL};
     const int file = bsq_fd_above_standard(memfd_create("devices", MFD_CLOEXEC));
     int status = 0;
     memset(out, 0, sizeof *out);
@@ -82,13 +82,13 @@ static int ask(struct bsq_ctx *ctx, const struct bake_device_kind *kind, char *p
     if (file >= 0)
         status = fmt_program_run(ctx, arguments, -1, file, TIMEOUT_SECONDS, end);
     if (!status && end->error)
-        status = bsq_fail(ctx, BSQ_ENODEVICE, "%s cannot be used: %s does not start: %s",
-                          kind->drivers, path, strerror(end->error));
+        status = bsq_fail(ctx, BSQ_ENODEVICE, "%s cannot be used: %s does not start: %s", title,
+                          path, strerror(end->error));
     if (!status)
         status = (int)pread(file, out, sizeof *out, 0);
     if (status == -1)
-        status = bsq_fail(ctx, BSQ_ENODEVICE, "%s cannot be used: the answer of %s: %s",
-                          kind->drivers, path, strerror(errno));
+        status = bsq_fail(ctx, BSQ_ENODEVICE, "%s cannot be used: the answer of %s: %s", title,
+                          path, strerror(errno));
     if (file >= 0)
         close(file);
     out->version[sizeof out->version - 1] = '\0';
@@ -96,21 +96,21 @@ static int ask(struct bsq_ctx *ctx, const struct bake_device_kind *kind, char *p
 }
 
 /* Reports an answer that did not come or is of another version. */
-static int fail_answer(struct bsq_ctx *ctx, const struct bake_device_kind *kind, const char *path,
+static int fail_answer(struct bsq_ctx *ctx, const char *title, const char *path,
                        const struct answer *answer, const struct fmt_program_end *end)
 {
     if (answer->version[0] && strcmp(answer->version, BSQ_VERSION) != 0)
         return bsq_fail(ctx, BSQ_ENODEVICE,
                         "%s cannot be used: %s is of version %s, this program is of " BSQ_VERSION,
-                        kind->drivers, path, answer->version);
+                        title, path, answer->version);
     if (end->late)
         return bsq_fail(ctx, BSQ_ENODEVICE,
                         "%s cannot be used: its drivers have not named their devices for %d "
                         "seconds",
-                        kind->drivers, TIMEOUT_SECONDS);
+                        title, TIMEOUT_SECONDS);
     return bsq_fail(ctx, BSQ_ENODEVICE,
                     "%s cannot be used: a driver crashed when it was asked for its devices (%s)",
-                    kind->drivers,
+                    title,
                     end->state >= 0 && WIFSIGNALED(end->state) ? strsignal(WTERMSIG(end->state))
                                                                : "it ended the process");
 }
@@ -128,12 +128,11 @@ static bool take_over(const struct answer *answer, struct bake_device_list *out)
 }
 
 /* Finds bisque-devices. Without it there are no devices, rather than no input. */
-static int driver_find_program(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
-                               char path[PATH_MAX])
+static int driver_find_program(struct bsq_ctx *ctx, const char *title, char path[PATH_MAX])
 {
     char purpose[32];
     int status;
-    snprintf(purpose, sizeof purpose, "%s devices", kind->drivers);
+    snprintf(purpose, sizeof purpose, "%s devices", title);
     status = fmt_program_find(ctx, "bisque-devices", purpose, path);
     if (status != BSQ_ENOINPUT)
         return status;
@@ -144,18 +143,18 @@ static int driver_find_program(struct bsq_ctx *ctx, const struct bake_device_kin
     return status;
 }
 
-int bake_probe(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
+int bake_probe(struct bsq_ctx *ctx, const char *name, const char *title,
                struct bake_device_list *out)
 {
     struct fmt_program_end end;
     struct answer answer;
     char path[PATH_MAX];
     int status;
-    BSQ_TRY(driver_find_program(ctx, kind, path));
-    BSQ_TRY(ask(ctx, kind, path, &answer, &end));
+    BSQ_TRY(driver_find_program(ctx, title, path));
+    BSQ_TRY(ask(ctx, name, title, path, &answer, &end));
     const bool answered = status == (int)sizeof answer && answer.bytes == sizeof answer &&
                           strcmp(answer.version, BSQ_VERSION) == 0 && take_over(&answer, out);
-    status = answered ? 0 : fail_answer(ctx, kind, path, &answer, &end);
+    status = answered ? 0 : fail_answer(ctx, title, path, &answer, &end);
 done:
     return status;
 }

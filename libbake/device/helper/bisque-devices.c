@@ -14,7 +14,7 @@ enum { LIFE_SECONDS = 60 /* longer than the caller waits */ };
 
 static const struct {
     const char *kind;
-    void (*list)(struct bsq_ctx *ctx, struct bake_device_list *out);
+    void (*list)(struct bake_device_list *out);
 } kinds[] = {
     {"cuda", bake_cuda_list},
     {"opencl", bake_opencl_list},
@@ -42,6 +42,6 @@ int main(int argument_count, char **arguments)
         return 64;
     }
     answer = isolate();
-    kinds[kind].list(NULL, &list);
+    kinds[kind].list(&list);
     _exit(bake_probe_answer(answer, &list) ? 0 : 70); /* no driver's destructor */
 }

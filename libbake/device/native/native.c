@@ -3,7 +3,6 @@
 
 #include <math.h>
 #include <stdio.h>
-#include <string.h>
 #include <unistd.h>
 
 #include "libbake/device/native/native_code.h"
@@ -12,8 +11,7 @@
 
 enum { PAIRS_PER_BAND = 1 << 18 };
 
-struct native {
-    struct bake_backend base;
+struct bake_native {
     struct bsq_ctx *ctx;
     struct bk_grid grid;
     struct bk_params params;
@@ -30,19 +28,18 @@ memory_of(const struct bake_tree *tree, const struct bake_native_workers *worker
                                        workers->results + worker * workers->results_each};
 }
 
-/* Returns the rows of a band. A patch can have many millions of pairs of rays, so native_trace()
- * checks for an interruption after each band. A band has whole squares of texels, or is a single
- * row. */
+/* Returns the rows of a band. A patch can have many millions of pairs of rays, so
+ * bake_native_trace() checks for an interruption after each band. A band has whole squares of
+ * texels, or is a single row. */
 static uint32_t band_rows(uint64_t row_pairs)
 {
     const uint64_t rows = PAIRS_PER_BAND / row_pairs;
     return rows >= BAKE_NATIVE_SQUARE ? (uint32_t)(rows - rows % BAKE_NATIVE_SQUARE) : 1;
 }
 
-static int native_trace(struct bake_backend *backend, const struct bk_patch *patch,
-                        const uint32_t *sample_triangles, float *texels, unsigned worker, char *why)
+int bake_native_trace(struct bake_native *native, const struct bk_patch *patch,
+                      const uint32_t *sample_triangles, float *texels, unsigned worker)
 {
-    struct native *native = (struct native *)backend;
     const uint64_t texel_samples = (uint64_t)native->params.samples * native->params.samples;
     const uint32_t rows =
         band_rows(patch->width * texel_samples * bake_sample_cost(&native->params));
@@ -50,7 +47,6 @@ static int native_trace(struct bake_backend *backend, const struct bk_patch *pat
                                                  ? memory_of(native->tree, &native->workers, worker)
                                                  : (struct bake_native_memory){0};
 
-    (void)why;
     for (uint32_t row = 0; row < patch->height; row += rows) {
         const uint32_t end = patch->height - row < rows ? patch->height : row + rows;
         int status = bsq_check(native->ctx);
@@ -62,10 +58,10 @@ static int native_trace(struct bake_backend *backend, const struct bk_patch *pat
     return 0;
 }
 
-static void native_close(struct bake_backend *backend)
+void bake_native_close(struct bake_native *native)
 {
-    struct native *native = (struct native *)backend;
-
+    if (!native)
+        return;
     bake_native_workers_free(native->ctx, &native->workers);
     bsq_free(native->ctx, native);
 }
@@ -152,32 +148,26 @@ void bake_native_workers_free(struct bsq_ctx *ctx, struct bake_native_workers *w
     *workers = (struct bake_native_workers){0};
 }
 
-static void native_list(struct bsq_ctx *ctx, struct bake_device_list *out)
+struct bake_device_info bake_native_describe(const struct bsq_ctx *ctx)
 {
     const long pages = sysconf(_SC_PHYS_PAGES), page_bytes = sysconf(_SC_PAGESIZE);
     const unsigned threads = bsq_threads(ctx);
-    struct bake_device_info *info = &out->devices[out->count++];
+    struct bake_device_info info = {.id = "cpu"};
 
-    strcpy(info->id, "cpu");
-    snprintf(info->name, sizeof info->name, "%u thread%s", threads, threads == 1 ? "" : "s");
+    snprintf(info.name, sizeof info.name, "%u thread%s", threads, threads == 1 ? "" : "s");
     if (pages > 0 && page_bytes > 0)
-        info->memory_bytes = (uint64_t)pages * (uint64_t)page_bytes;
+        info.memory_bytes = (uint64_t)pages * (uint64_t)page_bytes;
+    return info;
 }
 
-static int native_open(struct bsq_ctx *ctx, uint32_t number, const struct bake_job *job,
-                       struct bake_backend **out)
+int bake_native_open(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_native **out)
 {
-    const unsigned threads = bsq_threads(ctx);
-    struct native *native;
+    struct bake_native *native;
     int status = bsq_calloc(ctx, "native device", 1, sizeof *native, &native);
 
-    (void)number;
+    *out = NULL;
     if (status < 0)
         return status;
-    snprintf(native->base.name, sizeof native->base.name, "cpu, %u thread%s", threads,
-             threads == 1 ? "" : "s");
-    native->base.trace = native_trace;
-    native->base.close = native_close;
     native->ctx = ctx;
     bake_kernel_grid(job->grid, &job->params, &native->grid);
     native->params = job->params;
@@ -187,11 +177,8 @@ static int native_open(struct bsq_ctx *ctx, uint32_t number, const struct bake_j
     if (job->tree)
         status = bake_native_workers_create(ctx, &job->params, &native->workers);
     if (status < 0)
-        native_close(&native->base);
+        bake_native_close(native);
     else
-        *out = &native->base;
+        *out = native;
     return status;
 }
-
-const struct bake_device_kind bake_native_kind = {
-    .name = "cpu", .open = native_open, .list = native_list};

@@ -3,12 +3,23 @@
 #ifndef BAKE_DEVICE_NATIVE_NATIVE_H
 #define BAKE_DEVICE_NATIVE_NATIVE_H
 
-#include "libbake/device/backend/backend.h"
+#include "libbake/device/job/job.h"
 
 struct bake_viewpoints;
 struct bake_ray_states;
 
-extern const struct bake_device_kind bake_native_kind;
+struct bake_native;
+
+/* Prepares to trace a job's patches. Errors: BSQ_ENOMEM. */
+int bake_native_open(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_native **out);
+void bake_native_close(struct bake_native *native); /* NULL is allowed */
+
+/* Does what bake_device_trace() does, on the calling thread. Errors: BSQ_EINTR. */
+int bake_native_trace(struct bake_native *native, const struct bk_patch *patch,
+                      const uint32_t *sample_triangles, float *texels, unsigned worker);
+
+/* Describes the processor as a device. */
+struct bake_device_info bake_native_describe(const struct bsq_ctx *ctx);
 
 /* Traces rays on the calling thread, with the widest lanes of the processor. A ray without
  * direction has no hit. params: flags and maps. */

@@ -6,7 +6,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "libbake/device/compute/compute.h"
+#include "libbake/device/gpu/gpu.h"
 #include "libbake/device/opencl/opencl.h"
 #include "libbake/device/opencl/opencl_api.h"
 
@@ -23,8 +23,11 @@ struct stream {
     cl_event events[EVENTS];
 };
 
+/* Limit for an array of the grid: some devices promise larger buffers than they can give. */
+#define ARRAY_MOST (UINT64_C(1) << 30)
+
 struct opencl {
-    struct bake_compute compute;
+    struct bake_gpu gpu;
     struct bake_opencl_api api;
     struct bake_opencl_device device;
     cl_context context;
@@ -45,18 +48,17 @@ static cl_mem buffer_of(bake_memory memory)
     return (cl_mem)(uintptr_t)memory;
 }
 
-static const char *opencl_describe(const struct bake_compute *compute, int code, char *buffer)
+static const char *opencl_describe(const struct bake_gpu *gpu, int code, char *buffer)
 {
-    (void)compute;
+    (void)gpu;
     return bake_opencl_error(code, buffer);
 }
 
 /* ---- memory ---- */
 
-static struct bake_failure opencl_allocate(struct bake_compute *compute, uint64_t bytes,
-                                           bake_memory *out)
+static struct bake_failure opencl_allocate(struct bake_gpu *gpu, uint64_t bytes, bake_memory *out)
 {
-    struct opencl *cl = (struct opencl *)compute;
+    struct opencl *cl = (struct opencl *)gpu;
     cl_int code;
     /* The kernel never reads an empty array, but an argument must be a buffer. */
     cl_mem memory =
@@ -66,16 +68,16 @@ static struct bake_failure opencl_allocate(struct bake_compute *compute, uint64_
     return BAKE_NO_FAILURE;
 }
 
-static void opencl_release(struct bake_compute *compute, bake_memory memory)
+static void opencl_release(struct bake_gpu *gpu, bake_memory memory)
 {
-    ((struct opencl *)compute)->api.clReleaseMemObject(buffer_of(memory));
+    ((struct opencl *)gpu)->api.clReleaseMemObject(buffer_of(memory));
 }
 
 /* ---- streams ---- */
 
-static void opencl_close_stream(struct bake_compute *compute, struct bake_stream *stream)
+static void opencl_close_stream(struct bake_gpu *gpu, struct bake_stream *stream)
 {
-    const struct bake_opencl_api *api = &((struct opencl *)compute)->api;
+    const struct bake_opencl_api *api = &((struct opencl *)gpu)->api;
     struct stream *own = stream->own;
     if (own->queue)
         api->clFinish(own->queue);
@@ -115,10 +117,9 @@ static struct bake_failure open_host(struct opencl *cl, struct bake_stream *stre
     return BAKE_NO_FAILURE;
 }
 
-static struct bake_failure opencl_open_stream(struct bake_compute *compute,
-                                              struct bake_stream *stream)
+static struct bake_failure opencl_open_stream(struct bake_gpu *gpu, struct bake_stream *stream)
 {
-    struct opencl *cl = (struct opencl *)compute;
+    struct opencl *cl = (struct opencl *)gpu;
     struct stream *own = stream->own;
     cl_int code;
     own->queue =
@@ -145,11 +146,11 @@ static cl_event *fresh_event(const struct opencl *cl, struct stream *own, int nu
     return &own->events[number];
 }
 
-static struct bake_failure opencl_send(struct bake_compute *compute, struct bake_stream *stream,
+static struct bake_failure opencl_send(struct bake_gpu *gpu, struct bake_stream *stream,
                                        const char *from, uint64_t bytes, bake_memory to,
                                        uint64_t at, int step)
 {
-    struct opencl *cl = (struct opencl *)compute;
+    struct opencl *cl = (struct opencl *)gpu;
     struct stream *own = stream->own;
     own->launches = 0;
     CALL(clEnqueueWriteBuffer, own->queue, buffer_of(to), CL_FALSE, at, bytes, from, 0, NULL,
@@ -158,10 +159,10 @@ static struct bake_failure opencl_send(struct bake_compute *compute, struct bake
     return BAKE_NO_FAILURE;
 }
 
-static struct bake_failure opencl_fetch(struct bake_compute *compute, struct bake_stream *stream,
+static struct bake_failure opencl_fetch(struct bake_gpu *gpu, struct bake_stream *stream,
                                         uint64_t bytes)
 {
-    struct opencl *cl = (struct opencl *)compute;
+    struct opencl *cl = (struct opencl *)gpu;
     struct stream *own = stream->own;
     CALL(clEnqueueReadBuffer, own->queue, buffer_of(stream->texels), CL_FALSE, 0, bytes,
          stream->host[0], 0, NULL, fresh_event(cl, own, BAKE_TEXELS));
@@ -169,27 +170,26 @@ static struct bake_failure opencl_fetch(struct bake_compute *compute, struct bak
     return BAKE_NO_FAILURE;
 }
 
-static struct bake_failure opencl_wait(struct bake_compute *compute, struct bake_stream *stream,
-                                       int step)
+static struct bake_failure opencl_wait(struct bake_gpu *gpu, struct bake_stream *stream, int step)
 {
-    struct opencl *cl = (struct opencl *)compute;
+    struct opencl *cl = (struct opencl *)gpu;
     const cl_event *event = &((struct stream *)stream->own)->events[step];
     if (*event)
         CALL(clWaitForEvents, 1, event);
     return BAKE_NO_FAILURE;
 }
 
-static struct bake_failure opencl_finish(struct bake_compute *compute, struct bake_stream *stream)
+static struct bake_failure opencl_finish(struct bake_gpu *gpu, struct bake_stream *stream)
 {
-    struct opencl *cl = (struct opencl *)compute;
+    struct opencl *cl = (struct opencl *)gpu;
     CALL(clFinish, ((struct stream *)stream->own)->queue);
     return BAKE_NO_FAILURE;
 }
 
-static struct bake_failure opencl_launch(struct bake_compute *compute, struct bake_stream *stream,
+static struct bake_failure opencl_launch(struct bake_gpu *gpu, struct bake_stream *stream,
                                          const struct bake_launch *launch)
 {
-    const struct opencl *cl = (const struct opencl *)compute;
+    const struct opencl *cl = (const struct opencl *)gpu;
     struct stream *own = stream->own;
     cl_kernel kernel = own->kernels[launch->kernel];
     const int event = own->launches++ == 0 ? BAKE_KERNELS : LAST_KERNEL;
@@ -223,9 +223,9 @@ static struct bake_failure span_of(const struct opencl *cl, cl_event first, cl_e
     return BAKE_NO_FAILURE;
 }
 
-static struct bake_failure opencl_times(struct bake_compute *compute, struct bake_stream *stream)
+static struct bake_failure opencl_times(struct bake_gpu *gpu, struct bake_stream *stream)
 {
-    struct opencl *cl = (struct opencl *)compute;
+    struct opencl *cl = (struct opencl *)gpu;
     struct stream *own = stream->own;
     for (int i = 0; i < BAKE_STEPS; i++) {
         /* A patch of one launch batch has one kernel. */
@@ -237,19 +237,6 @@ static struct bake_failure opencl_times(struct bake_compute *compute, struct bak
     return BAKE_NO_FAILURE;
 }
 
-static const struct bake_compute_calls calls = {.describe = opencl_describe,
-                                                .allocate = opencl_allocate,
-                                                .release = opencl_release,
-                                                .stream_bytes = sizeof(struct stream),
-                                                .open_stream = opencl_open_stream,
-                                                .close_stream = opencl_close_stream,
-                                                .send = opencl_send,
-                                                .launch = opencl_launch,
-                                                .fetch = opencl_fetch,
-                                                .wait = opencl_wait,
-                                                .finish = opencl_finish,
-                                                .times = opencl_times};
-
 /* ---- opening and closing ---- */
 
 /* Returns the device memory that the job may use: not all, since drivers and the desktop need some
@@ -258,7 +245,7 @@ static uint64_t memory_limit(const struct opencl *cl)
 {
     uint64_t limit = cl->device.memory_bytes / 8 * 7;
     if (cl->device.host_memory) {
-        const uint64_t left = bsq_memory_left(cl->compute.ctx) / 4 * 3;
+        const uint64_t left = bsq_memory_left(cl->gpu.ctx) / 4 * 3;
         limit = left < limit ? left : limit;
     }
     return limit;
@@ -273,51 +260,52 @@ static struct bake_failure opencl_open_context(struct opencl *cl)
     return (struct bake_failure){"clCreateContext", code};
 }
 
-static int opencl_prepare(struct opencl *cl, const struct bake_job *job)
+static int opencl_open(struct bake_gpu *gpu, uint32_t number, const struct bake_job *job)
 {
-    struct bake_compute *compute = &cl->compute;
+    struct opencl *cl = (struct opencl *)gpu;
     int status;
-    snprintf(compute->base.name, sizeof compute->base.name, "%s", cl->device.name);
-    compute->shares_memory = cl->device.host_memory;
-    BSQ_TRY(bake_compute_fail(compute, opencl_open_context(cl)));
-    BSQ_TRY(bake_opencl_build(compute->ctx, &cl->api, &cl->device, cl->context, &cl->program));
-    BSQ_TRY(bake_compute_prepare(compute, job, memory_limit(cl), cl->device.buffer_bytes));
-    if (compute->base.buffer_bytes > BAKE_MAX_BUFFER_BYTES)
-        compute->base.buffer_bytes = BAKE_MAX_BUFFER_BYTES;
+    (void)job;
+    if (!bake_opencl_load(&cl->api) || !bake_opencl_device(&cl->api, number, &cl->device))
+        BSQ_TRY(
+            bsq_fail(gpu->ctx, BSQ_ENODEVICE, "opencl:%u: the device is gone", (unsigned)number));
+    snprintf(gpu->device_name, sizeof gpu->device_name, "%s", cl->device.name);
+    snprintf(gpu->name, sizeof gpu->name, "%s", cl->device.name);
+    gpu->shares_memory = cl->device.host_memory;
+    gpu->memory_bytes = memory_limit(cl);
+    gpu->buffer_bytes = cl->device.buffer_bytes;
+    gpu->array_bytes = gpu->buffer_bytes < ARRAY_MOST ? gpu->buffer_bytes : ARRAY_MOST;
+    BSQ_TRY(bake_gpu_fail(gpu, opencl_open_context(cl)));
+    status = bake_opencl_build(gpu->ctx, &cl->api, &cl->device, cl->context, &cl->program);
 done:
     return status;
 }
 
-static void opencl_close(struct bake_backend *backend)
+static void opencl_close(struct bake_gpu *gpu)
 {
-    struct opencl *cl = (struct opencl *)backend;
-    bake_compute_unload(&cl->compute);
+    const struct opencl *cl = (const struct opencl *)gpu;
     if (cl->program)
         cl->api.clReleaseProgram(cl->program);
     if (cl->context)
         cl->api.clReleaseContext(cl->context);
-    bake_compute_free(&cl->compute);
 }
 
-static int opencl_open(struct bsq_ctx *ctx, uint32_t number, const struct bake_job *job,
-                       struct bake_backend **out)
-{
-    struct opencl *cl;
-    int status = bsq_calloc(ctx, "OpenCL device", 1, sizeof *cl, &cl);
-    *out = NULL;
-    if (status < 0)
-        return status;
-    if (!bake_opencl_load(&cl->api) || !bake_opencl_device(&cl->api, number, &cl->device))
-        status = bsq_fail(ctx, BSQ_ENODEVICE, "opencl:%u: the device is gone", (unsigned)number);
-    bake_compute_init(&cl->compute, ctx, cl->device.name, &calls, opencl_close);
-    if (status == 0)
-        status = opencl_prepare(cl, job);
-    if (status < 0)
-        opencl_close(&cl->compute.base);
-    else
-        *out = &cl->compute.base;
-    return status;
-}
-
-const struct bake_device_kind bake_opencl_kind = {
-    .name = "opencl", .drivers = "OpenCL", .open = opencl_open, .list = bake_opencl_list};
+const struct bake_driver bake_opencl_driver = {
+    .name = "opencl",
+    .title = "OpenCL",
+    .list = bake_opencl_list,
+    .open = opencl_open,
+    .close = opencl_close,
+    .gpu_bytes = sizeof(struct opencl),
+    .stream_bytes = sizeof(struct stream),
+    .describe = opencl_describe,
+    .allocate = opencl_allocate,
+    .release = opencl_release,
+    .open_stream = opencl_open_stream,
+    .close_stream = opencl_close_stream,
+    .send = opencl_send,
+    .launch = opencl_launch,
+    .fetch = opencl_fetch,
+    .wait = opencl_wait,
+    .finish = opencl_finish,
+    .times = opencl_times,
+};

@@ -1,11 +1,11 @@
-/* opencl.h - OpenCL 1.2 devices. Takes a job; gives texels. */
+/* opencl.h - OpenCL 1.2 devices. */
 #ifndef BAKE_DEVICE_OPENCL_OPENCL_H
 #define BAKE_DEVICE_OPENCL_OPENCL_H
 
-#include "libbake/device/backend/backend.h"
+#include "libbake/device/gpu/gpu.h"
 
-extern const struct bake_device_kind bake_opencl_kind;
-/* The kind's list(), for bisque-devices. */
-void bake_opencl_list(struct bsq_ctx *ctx, struct bake_device_list *out);
+extern const struct bake_driver bake_opencl_driver;
+/* The driver's list(), for bisque-devices. */
+void bake_opencl_list(struct bake_device_list *out);
 
 #endif

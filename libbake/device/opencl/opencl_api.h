@@ -7,7 +7,7 @@
 #include <CL/cl.h>
 #include <stdbool.h>
 
-#include "libbake/device/backend/backend.h"
+#include "libbake/device/gpu/gpu.h"
 
 #define BAKE_OPENCL_FUNCTIONS(X)                                                                   \
     X(clGetPlatformIDs)                                                                            \

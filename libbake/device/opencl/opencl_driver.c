@@ -161,12 +161,11 @@ bool bake_opencl_device(const struct bake_opencl_api *api, uint32_t index,
     return false;
 }
 
-void bake_opencl_list(struct bsq_ctx *ctx, struct bake_device_list *out)
+void bake_opencl_list(struct bake_device_list *out)
 {
     struct bake_opencl_api api;
     struct bake_opencl_device device;
     const bool loaded = bake_opencl_load(&api);
-    (void)ctx;
     while (loaded && out->count < BAKE_DEVICES_MAX &&
            bake_opencl_device(&api, out->count, &device)) {
         struct bake_device_info *info = &out->devices[out->count];

@@ -8,7 +8,7 @@
 #include "libbake/device/cuda/cuda.h"
 #include "libbake/device/cuda/cuda_api.h"
 #include "libbake/device/driver/driver.h"
-#include "libbake/device/compute/compute.h"
+#include "libbake/device/gpu/gpu.h"
 #include "tests/unit/libbake/device/traced_sheet.h"
 #include "tests/unit/test.h"
 
@@ -95,22 +95,19 @@ FIXTURE_TEST(test_same_bits)
     }
 }
 
-/* Returns the times of a backend that traces the whole map `patches` times on one worker. */
+/* Returns the times of a GPU that traces the whole map `patches` times on one worker. */
 static struct bake_device_times times_of(struct fixture *f, int patches, struct sheet_texel *texels)
 {
     const struct bk_patch patch = {.width = WIDTH, .height = HEIGHT};
     struct bake_device_times times;
-    struct bake_backend *backend;
-    struct bake_grid_arrays grid;
     char why[BAKE_WHY_BYTES];
+    struct bake_gpu *gpu;
 
-    assert_int_equal(bake_cuda_kind.open(f->ctx, 0, &f->job, &backend), 0);
-    bake_list_arrays(&f->job, &grid);
-    assert_int_equal(backend->load(backend, &grid, why), 0);
+    assert_int_equal(bake_gpu_open(f->ctx, &bake_cuda_driver, 0, &f->job, &gpu), 0);
     for (int i = 0; i < patches; i++)
-        assert_int_equal(backend->trace(backend, &patch, f->samples, (float *)texels, 0, why), 0);
-    backend->times(backend, &times);
-    backend->close(backend);
+        assert_int_equal(bake_gpu_trace(gpu, &patch, f->samples, (float *)texels, 0, why), 0);
+    times = bake_gpu_times(gpu);
+    bake_gpu_close(gpu);
     return times;
 }
 
@@ -175,14 +172,14 @@ FIXTURE_TEST(test_memory_for_the_driver)
     struct fixture *f = *state;
     struct sheet_texel *native = traced_sheet_trace(f, "cpu", 0), *cuda;
     struct bake_grid_arrays grid;
-    struct bake_backend *backend;
+    struct bake_gpu *gpu;
     uint64_t needed;
 
     setenv("FAKE_CUDA_MEMORY", "1073741824", 1);
-    assert_int_equal(bake_cuda_kind.open(f->ctx, 0, &f->job, &backend), 0);
+    assert_int_equal(bake_gpu_open(f->ctx, &bake_cuda_driver, 0, &f->job, &gpu), 0);
     bake_list_arrays(&f->job, &grid);
-    needed = all / 16 * 15 - backend->memory_bytes + grid.bytes; /* texels and triangles, too */
-    backend->close(backend);
+    needed = all / 16 * 15 - gpu->memory_bytes + grid.bytes; /* texels and triangles, too */
+    bake_gpu_close(gpu);
     cuda = trace_with(f, needed);
     assert_same(native, cuda, TEXELS);
     assert_non_null(strstr(warnings, "the grid needs "));
@@ -499,12 +496,12 @@ FIXTURE_TEST(test_directories)
 static bool has_kernel(void)
 {
     struct bsq_ctx *ctx = create_context(0);
-    struct bake_backend *backend;
+    struct bake_gpu *gpu;
     const struct bake_job nothing = {0};
     bool has;
 
     setenv("FAKE_CUDA_DEVICES", "0", 1);
-    has = bake_cuda_kind.open(ctx, 0, &nothing, &backend) == BSQ_ENODEVICE &&
+    has = bake_gpu_open(ctx, &bake_cuda_driver, 0, &nothing, &gpu) == BSQ_ENODEVICE &&
           !strstr(bsq_error(ctx), "built without CUDA");
     bsq_ctx_destroy(ctx);
     return has;

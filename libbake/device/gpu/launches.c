@@ -1,6 +1,6 @@
 /* launches.c - the batches in which a patch is traced; a list of time spans is merged whenever it
  * is full. */
-#include "libbake/device/compute/compute.h"
+#include "libbake/device/gpu/gpu.h"
 
 #include <string.h>
 

@@ -1,14 +1,15 @@
-/* compute.h - what all devices with memory and streams of their own share, whatever their API.
+/* gpu.h - traces patches on devices with memory and streams of their own, whatever their API.
  *
- * Takes struct bake_compute_calls from the API's folder and a job; gives a struct
- * bake_backend. The grid goes up through a staging buffer, workers trace patches in launch batches,
- * and the device's clock tells how long they took. */
+ * Takes a struct bake_driver from the API's folder and a job; gives texels. The grid goes up
+ * through a staging buffer, workers trace patches in launch batches, and the device's clock tells
+ * how long they took. */
 #ifndef BAKE_DEVICE_COMPUTE_COMPUTE_H
 #define BAKE_DEVICE_COMPUTE_COMPUTE_H
 
 #include <pthread.h>
 
-#include "libbake/device/backend/backend.h"
+#include "libbake/device/driver/driver.h"
+#include "libbake/device/job/job.h"
 
 /* ---- launch batches: launches.c ---- */
 
@@ -55,7 +56,17 @@ void bake_time_spans_add(struct bake_time_spans *spans, const struct bake_span *
 /* Returns the length of the union of all spans, in seconds. */
 double bake_time_spans_seconds(struct bake_time_spans *spans);
 
-/* ---- devices: compute.c ---- */
+/* ---- devices: gpu.c ---- */
+
+enum { BAKE_WHY_BYTES = 512 };
+
+/* What a device did since it was opened, in seconds. */
+struct bake_device_times {
+    double upload;  /* of the grid, wall time */
+    double copies;  /* of samples to the device and of texels back, on the device's clock */
+    double kernels; /* likewise; kernels that run at the same time count once */
+    uint64_t launches;
+};
 
 /* Device memory, as the API names it; 0: none. */
 typedef uint64_t bake_memory;
@@ -117,53 +128,65 @@ struct bake_launch {
     uint32_t count;
 };
 
-struct bake_compute;
+struct bake_gpu;
 
-enum { BAKE_COMPUTE_TEXT = 192 };
+enum { BAKE_GPU_TEXT = 192 };
 
-/* The API's part. */
-struct bake_compute_calls {
-    /* Returns an error's text. buffer: BAKE_COMPUTE_TEXT bytes. */
-    const char *(*describe)(const struct bake_compute *compute, int code, char *buffer);
+/* An API. */
+struct bake_driver {
+    const char *name;  /* as in "--device name" or "--device name:N" */
+    const char *title; /* in messages */
+    /* Fills a zeroed list with the devices in the order of their numbers, which their ids end with.
+     * Runs in the program bisque-devices, see bake_probe(). */
+    void (*list)(struct bake_device_list *out);
+    /* Opens device `number`, which is in the list, for a job, and sets the names, shares_memory,
+     * memory_bytes and buffer_bytes. close() follows, also after a failure, and releases what is
+     * the API's. Errors: BSQ_ENODEVICE, BSQ_ENOMEM. */
+    int (*open)(struct bake_gpu *gpu, uint32_t number, const struct bake_job *job);
+    void (*close)(struct bake_gpu *gpu);
+    uint64_t gpu_bytes, stream_bytes; /* of the API's structures, zero at first */
+
+    /* Returns an error's text. buffer: BAKE_GPU_TEXT bytes. */
+    const char *(*describe)(const struct bake_gpu *gpu, int code, char *buffer);
     /* Lets the calling thread use the device. NULL: every thread may. */
-    struct bake_failure (*attach)(struct bake_compute *compute);
+    struct bake_failure (*attach)(struct bake_gpu *gpu);
 
     /* `bytes` is 0 for arrays that the kernel does not read; *out may be 0 then. */
-    struct bake_failure (*allocate)(struct bake_compute *compute, uint64_t bytes, bake_memory *out);
-    void (*release)(struct bake_compute *compute, bake_memory memory);
+    struct bake_failure (*allocate)(struct bake_gpu *gpu, uint64_t bytes, bake_memory *out);
+    void (*release)(struct bake_gpu *gpu, bake_memory memory);
 
     /* Creates a stream and its host memory. close_stream() follows, also after a failure; it waits
      * for the stream's work. */
-    uint64_t stream_bytes;
-    struct bake_failure (*open_stream)(struct bake_compute *compute, struct bake_stream *stream);
-    void (*close_stream)(struct bake_compute *compute, struct bake_stream *stream);
+    struct bake_failure (*open_stream)(struct bake_gpu *gpu, struct bake_stream *stream);
+    void (*close_stream)(struct bake_gpu *gpu, struct bake_stream *stream);
 
     /* Steps on a stream, timed as step number `step`. Copies bytes of the stream's host memory to
      * device memory from `at` on, and back. launch() runs once for each batch. */
-    struct bake_failure (*send)(struct bake_compute *compute, struct bake_stream *stream,
-                                const char *from, uint64_t bytes, bake_memory to, uint64_t at,
-                                int step);
-    struct bake_failure (*launch)(struct bake_compute *compute, struct bake_stream *stream,
+    struct bake_failure (*send)(struct bake_gpu *gpu, struct bake_stream *stream, const char *from,
+                                uint64_t bytes, bake_memory to, uint64_t at, int step);
+    struct bake_failure (*launch)(struct bake_gpu *gpu, struct bake_stream *stream,
                                   const struct bake_launch *launch);
-    struct bake_failure (*fetch)(struct bake_compute *compute, struct bake_stream *stream,
-                                 uint64_t bytes);
+    struct bake_failure (*fetch)(struct bake_gpu *gpu, struct bake_stream *stream, uint64_t bytes);
     /* Waits until the last copy with this number is over, asleep; until all steps are. */
-    struct bake_failure (*wait)(struct bake_compute *compute, struct bake_stream *stream, int step);
-    struct bake_failure (*finish)(struct bake_compute *compute, struct bake_stream *stream);
+    struct bake_failure (*wait)(struct bake_gpu *gpu, struct bake_stream *stream, int step);
+    struct bake_failure (*finish)(struct bake_gpu *gpu, struct bake_stream *stream);
     /* Sets stream->times after a patch. */
-    struct bake_failure (*times)(struct bake_compute *compute, struct bake_stream *stream);
+    struct bake_failure (*times)(struct bake_gpu *gpu, struct bake_stream *stream);
 };
 
 /* An opened device; the API's structure begins with it. */
-struct bake_compute {
-    struct bake_backend base;
-    struct bsq_ctx *ctx;
-    const struct bake_compute_calls *calls;
+struct bake_gpu {
+    char name[128];        /* for users */
     char device_name[128]; /* for messages */
-    bool shares_memory;    /* with the host: allocations count for the job's budget */
+    struct bsq_ctx *ctx;
+    const struct bake_driver *driver;
+    bool shares_memory; /* with the host: allocations count for the job's budget */
+    /* Memory that the job may use; from bake_gpu_open() on, for the grid. The largest buffer, and
+     * the largest one for an array of the grid. */
+    uint64_t memory_bytes, buffer_bytes, array_bytes;
     bake_memory triangles;
     bake_memory arrays[BAKE_GRID_ARRAYS];
-    struct bk_params params; /* the job's; from load() on, for these arrays */
+    struct bk_params params; /* the job's, for these arrays */
     uint32_t patch_texels;
     unsigned worker_count;
     struct bake_stream *streams; /* of the workers, and then that of uploads */
@@ -181,24 +204,24 @@ struct bake_compute {
     struct bake_time_spans copies, kernels;
 };
 
-/* Initialises a zeroed structure. `close` must call bake_compute_unload() and end with
- * bake_compute_free(), also after a failure. */
-void bake_compute_init(struct bake_compute *compute, struct bsq_ctx *ctx, const char *device_name,
-                       const struct bake_compute_calls *calls,
-                       void (*close)(struct bake_backend *backend));
+/* Opens a device and loads a job's triangles and grid. Patches and triangles take their share of
+ * the device's memory, and the grid may have the rest. *out: NULL after a failure. Errors:
+ * BSQ_RETRY if the grid does not fit; BSQ_ENODEVICE if not even the rest fits or a call fails;
+ * BSQ_ENOMEM, BSQ_EINTR. */
+int bake_gpu_open(struct bsq_ctx *ctx, const struct bake_driver *driver, uint32_t number,
+                  const struct bake_job *job, struct bake_gpu **out);
+void bake_gpu_close(struct bake_gpu *gpu);
 
-/* Prepares an opened device for a job and uploads the low-poly mesh. Divides `limit` bytes of
- * device memory: patches and the mesh take their share, the grid gets the rest. buffer_bytes: limit
- * for one array. Errors: BSQ_ENODEVICE if that is too little or a call fails; BSQ_ENOMEM. */
-int bake_compute_prepare(struct bake_compute *compute, const struct bake_job *job, uint64_t limit,
-                         uint64_t buffer_bytes);
+/* Does what bake_device_trace() does. Describes a failure in `why` (BAKE_WHY_BYTES) instead of
+ * recording it, since the caller may fall back to the processor. */
+int bake_gpu_trace(struct bake_gpu *gpu, const struct bk_patch *patch,
+                   const uint32_t *sample_triangles, float *texels, unsigned worker, char *why);
 
-/* Records a failure while the device is being opened. Returns BSQ_ENODEVICE; 0 if there is none. */
-int bake_compute_fail(const struct bake_compute *compute, struct bake_failure failure);
+/* Returns what the device did so far. Must not be called while patches are traced. */
+struct bake_device_times bake_gpu_times(struct bake_gpu *gpu);
 
-/* Releases streams and memory on the device. */
-void bake_compute_unload(struct bake_compute *compute);
-/* Releases host memory, the structure included. */
-void bake_compute_free(struct bake_compute *compute);
+/* Records a failure of a call while the device is being opened. Returns BSQ_ENODEVICE; 0 if there
+ * is none. */
+int bake_gpu_fail(const struct bake_gpu *gpu, struct bake_failure failure);
 
 #endif

@@ -1,5 +1,5 @@
 /* test_launches.c - batches have all samples of a patch; unions of time spans. */
-#include "libbake/device/compute/compute.h"
+#include "libbake/device/gpu/gpu.h"
 #include "libbake/device/job/job.h"
 #include "tests/unit/test.h"
 

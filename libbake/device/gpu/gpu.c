@@ -1,0 +1,530 @@
+/* gpu.c - uploads, patches and times of devices with memory and streams of their own. */
+#include "libbake/device/gpu/gpu.h"
+
+#include <inttypes.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "base/context.h"
+#include "base/parallel.h"
+#include "libbake/kernel/bk_secondary.h"
+#include "libbake/raster/raster.h"
+
+enum {
+    STAGING_BYTES = 16 << 20, /* half of the staging buffer */
+    SHARE_BYTES = 1 << 20     /* that one thread copies at a time */
+};
+
+const char *const bake_kernel_names[BAKE_KERNEL_COUNT] = {"bake_patch", "bake_look"};
+
+int bake_gpu_fail(const struct bake_gpu *gpu, struct bake_failure failure)
+{
+    char text[BAKE_GPU_TEXT];
+    if (failure.code == 0)
+        return 0;
+    return bsq_fail(gpu->ctx, BSQ_ENODEVICE, "%s: %s: %s", gpu->device_name, failure.call,
+                    gpu->driver->describe(gpu, failure.code, text));
+}
+
+/* ---- memory ---- */
+
+static uint64_t sample_bytes(const struct bake_gpu *gpu, uint64_t texels)
+{
+    return texels * bake_raster_texel_entries(&gpu->params) * sizeof(uint32_t);
+}
+
+static uint64_t texel_bytes(const struct bake_gpu *gpu, uint64_t texels)
+{
+    return texels * bk_texel_floats(gpu->params.maps) * sizeof(float);
+}
+
+static uint64_t point_bytes(const struct bake_gpu *gpu)
+{
+    return bake_ray_count(&gpu->params) > 0
+               ? bake_batch_samples(&gpu->params) * sizeof(struct bk_viewpoint)
+               : 0;
+}
+
+static uint64_t found_bytes(const struct bake_gpu *gpu)
+{
+    return bake_batch_samples(&gpu->params) * bake_ray_count(&gpu->params) * sizeof(float);
+}
+
+static uint64_t worker_bytes(const struct bake_gpu *gpu)
+{
+    return gpu->worker_count *
+           (sample_bytes(gpu, gpu->patch_texels) + texel_bytes(gpu, gpu->patch_texels) +
+            point_bytes(gpu) + found_bytes(gpu));
+}
+
+static uint64_t triangle_bytes(const struct bake_job *job)
+{
+    return job->triangle_count * (uint64_t)sizeof *job->triangles;
+}
+
+/* Reserves bytes of the host's budget until the device is closed. */
+static int gpu_reserve(struct bake_gpu *gpu, const char *what, uint64_t bytes)
+{
+    int status = bsq_reserve(gpu->ctx, what, bytes);
+    if (status == 0)
+        gpu->reserved_bytes += bytes;
+    return status;
+}
+
+static int share_memory(struct bake_gpu *gpu, const struct bake_job *job)
+{
+    const uint64_t samples = sample_bytes(gpu, gpu->patch_texels);
+    const uint64_t triangles = triangle_bytes(job);
+    const uint64_t fixed = worker_bytes(gpu) + triangles;
+    uint64_t limit = gpu->memory_bytes;
+    if (job->device_memory && job->device_memory < limit)
+        limit = job->device_memory;
+    if (triangles > gpu->buffer_bytes || samples > gpu->buffer_bytes)
+        return bsq_fail(gpu->ctx, BSQ_ENODEVICE,
+                        "%s: the low-poly mesh's triangles take %" PRIu64
+                        " bytes and a patch's samples "
+                        "%" PRIu64 ", a buffer of this device holds %" PRIu64,
+                        gpu->device_name, triangles, samples, gpu->buffer_bytes);
+    if (fixed >= limit)
+        return bsq_fail(gpu->ctx, BSQ_ENODEVICE,
+                        "%s: texels and the low-poly mesh take %" PRIu64
+                        " bytes of the device's memory, "
+                        "%" PRIu64 " are allowed: give more, or fewer --threads",
+                        gpu->device_name, fixed, limit);
+    gpu->memory_bytes = limit - fixed;
+    return gpu->shares_memory
+               ? gpu_reserve(gpu, "patches on a device that shares host memory", fixed)
+               : 0;
+}
+
+/* ---- the grid ---- */
+
+static struct bake_stream *upload_stream(const struct bake_gpu *gpu)
+{
+    return &gpu->streams[gpu->worker_count];
+}
+
+/* Keeps the failure of an upload. Returns BSQ_ENODEVICE; 0 if there is none. */
+static int note_failure(struct bake_gpu *gpu, struct bake_failure failure)
+{
+    gpu->upload_failure = failure;
+    return failure.code ? BSQ_ENODEVICE : 0;
+}
+
+/* Sends the half that is being filled. Returns when the other one may be filled. */
+static int gpu_flush(struct bake_gpu *gpu)
+{
+    struct bake_stream *stream = upload_stream(gpu);
+    const unsigned half = gpu->filling;
+    const uint64_t bytes = gpu->used;
+    int status;
+    if (bytes == 0)
+        return 0;
+    gpu->used = 0;
+    gpu->filling ^= 1;
+    BSQ_TRY(note_failure(gpu, gpu->driver->send(gpu, stream, stream->host[half], bytes,
+                                                gpu->upload_to, gpu->upload_at, (int)half)));
+    gpu->upload_at += bytes;
+    BSQ_TRY(note_failure(gpu, gpu->driver->wait(gpu, stream, (int)half ^ 1)));
+    status = bsq_check(gpu->ctx);
+done:
+    return status;
+}
+
+struct copy {
+    char *to;
+    const char *from;
+    uint64_t bytes;
+};
+
+static int copy_share(void *arg, uint64_t index, unsigned worker)
+{
+    const struct copy *copy = arg;
+    const uint64_t at = index * SHARE_BYTES, left = copy->bytes - at;
+    (void)worker;
+    memcpy(copy->to + at, copy->from + at, left < SHARE_BYTES ? left : SHARE_BYTES);
+    return 0;
+}
+
+/* Copies on all threads, as one reads a mapped file several times slower than a device copies. */
+static int copy_in(const struct bake_gpu *gpu, struct copy copy)
+{
+    if (copy.bytes > SHARE_BYTES)
+        return bsq_parallel_for(gpu->ctx, (copy.bytes + SHARE_BYTES - 1) / SHARE_BYTES, copy_share,
+                                &copy);
+    memcpy(copy.to, copy.from, copy.bytes);
+    return 0;
+}
+
+/* Appends data to the array that goes up. */
+static int gpu_put(struct bake_gpu *gpu, const void *data, uint64_t bytes)
+{
+    const char *from = data;
+    int status = 0;
+    while (bytes > 0 && status == 0) {
+        const uint64_t space = STAGING_BYTES - gpu->used, piece = bytes < space ? bytes : space;
+        char *to = upload_stream(gpu)->host[gpu->filling] + gpu->used;
+        status = copy_in(gpu, (struct copy){to, from, piece});
+        gpu->used += piece;
+        from += piece;
+        bytes -= piece;
+        if (status == 0 && gpu->used == STAGING_BYTES)
+            status = gpu_flush(gpu);
+    }
+    return status;
+}
+
+/* Makes gpu_put() append to an array from now on. */
+static void begin_upload(struct bake_gpu *gpu, bake_memory to)
+{
+    gpu->upload_to = to;
+    gpu->upload_at = gpu->used = 0;
+}
+
+static int finish_upload(struct bake_gpu *gpu)
+{
+    return note_failure(gpu, gpu->driver->finish(gpu, upload_stream(gpu)));
+}
+
+static int send_triangles(struct bake_gpu *gpu, const struct bake_job *job)
+{
+    int status;
+    BSQ_TRY(note_failure(gpu, gpu->driver->allocate(gpu, triangle_bytes(job), &gpu->triangles)));
+    begin_upload(gpu, gpu->triangles);
+    BSQ_TRY(gpu_put(gpu, job->triangles, triangle_bytes(job)));
+    BSQ_TRY(gpu_flush(gpu));
+    status = finish_upload(gpu);
+done:
+    return status == BSQ_ENODEVICE ? bake_gpu_fail(gpu, gpu->upload_failure) : status;
+}
+
+static int gpu_load_grid(struct bake_gpu *gpu, const struct bake_grid_arrays *grid,
+                         const char **what)
+{
+    int status;
+    *what = "memory that the device shares";
+    if (gpu->shares_memory)
+        BSQ_TRY(gpu_reserve(gpu, "grid on a device that shares host memory", grid->bytes));
+    gpu->params = grid->params;
+    for (int i = 0; i < BAKE_GRID_ARRAYS; i++) {
+        *what = grid->arrays[i].name;
+        BSQ_TRY(
+            note_failure(gpu, gpu->driver->allocate(gpu, grid->arrays[i].bytes, &gpu->arrays[i])));
+    }
+    for (int i = 0; i < BAKE_GRID_ARRAYS; i++) {
+        const struct bake_grid_array *array = &grid->arrays[i];
+        *what = array->name;
+        begin_upload(gpu, gpu->arrays[i]);
+        for (int k = 0; k < BAKE_ARRAY_PARTS; k++)
+            BSQ_TRY(gpu_put(gpu, array->parts[k].data, array->parts[k].bytes));
+        BSQ_TRY(gpu_flush(gpu));
+    }
+    status = finish_upload(gpu);
+done:
+    return status;
+}
+
+/* Describes a failure in `why`, after the part of the work that it belongs to. */
+static void gpu_describe_failure(const struct bake_gpu *gpu, const char *what,
+                                 struct bake_failure failure, char *why)
+{
+    char text[BAKE_GPU_TEXT];
+    snprintf(why, BAKE_WHY_BYTES, "%s: %s", what,
+             failure.code ? gpu->driver->describe(gpu, failure.code, text) : bsq_error(gpu->ctx));
+}
+
+static double mebibytes(uint64_t bytes)
+{
+    return (double)bytes / (1 << 20);
+}
+
+/* Fails with BSQ_RETRY if the grid does not fit the device. */
+static int check_space(const struct bake_gpu *gpu, const struct bake_grid_arrays *grid)
+{
+    if (grid->bytes > gpu->memory_bytes)
+        return bsq_fail(gpu->ctx, BSQ_RETRY,
+                        "the grid needs %.1f MiB of memory, %s has %.1f MiB for it",
+                        mebibytes(grid->bytes), gpu->name, mebibytes(gpu->memory_bytes));
+    if (grid->largest > gpu->array_bytes)
+        return bsq_fail(gpu->ctx, BSQ_RETRY,
+                        "the grid needs a buffer of %.1f MiB, those of %s have at most %.1f MiB",
+                        mebibytes(grid->largest), gpu->name, mebibytes(gpu->array_bytes));
+    return 0;
+}
+
+static int gpu_load(struct bake_gpu *gpu, const struct bake_job *job)
+{
+    const double started = bsq_seconds_now();
+    struct bake_grid_arrays grid;
+    char why[BAKE_WHY_BYTES];
+    const char *what;
+    int status;
+    bake_list_arrays(job, &grid);
+    BSQ_TRY(check_space(gpu, &grid));
+    gpu->upload_failure = BAKE_NO_FAILURE;
+    status = gpu_load_grid(gpu, &grid, &what);
+    if (status < 0) {
+        (void)gpu->driver->finish(gpu, upload_stream(gpu));
+        gpu_describe_failure(gpu, what, gpu->upload_failure, why);
+        status = bsq_fail(gpu->ctx, status, "%s: %s", gpu->name, why);
+    }
+    gpu->upload_seconds = bsq_seconds_now() - started;
+done:
+    return status;
+}
+
+/* ---- patches ---- */
+
+static void add_argument(struct bake_launch *launch, const void *value, uint64_t bytes)
+{
+    launch->arguments[launch->count++] = (struct bake_argument){bytes, value};
+}
+#define ADD(launch, value) add_argument(launch, &(value), sizeof(value))
+
+/* Starts the list of a launch's arguments, with the arrays of the grid. */
+static struct bake_launch begin_launch(const struct bake_gpu *gpu, int kernel)
+{
+    struct bake_launch launch = {.kernel = kernel};
+    for (int i = 0; i < BAKE_GRID_ARRAYS; i++)
+        ADD(&launch, gpu->arrays[i]);
+    ADD(&launch, gpu->params);
+    return launch;
+}
+
+static struct bake_failure launch_patch(struct bake_gpu *gpu, struct bake_stream *stream,
+                                        const struct bk_patch *patch, const struct bk_batch *batch,
+                                        uint32_t stage)
+{
+    struct bake_launch launch = begin_launch(gpu, BAKE_PATCH);
+    launch.width = batch->end_column - batch->first_column;
+    launch.height = batch->end_row - batch->first_row;
+    ADD(&launch, gpu->triangles);
+    ADD(&launch, *patch);
+    ADD(&launch, *batch);
+    ADD(&launch, stage);
+    ADD(&launch, stream->samples);
+    ADD(&launch, stream->points);
+    ADD(&launch, stream->found);
+    ADD(&launch, stream->texels);
+    stream->launches++;
+    return gpu->driver->launch(gpu, stream, &launch);
+}
+
+/* Traces the rays of `count` viewpoints. */
+static struct bake_failure launch_look(struct bake_gpu *gpu, struct bake_stream *stream,
+                                       uint32_t count)
+{
+    struct bake_launch launch = begin_launch(gpu, BAKE_LOOK);
+    launch.width = bake_ray_count(&gpu->params);
+    launch.height = count;
+    for (launch.side = 1; launch.side < launch.width && launch.side < 32;)
+        launch.side *= 2;
+    ADD(&launch, stream->points);
+    ADD(&launch, count);
+    ADD(&launch, stream->found);
+    stream->launches++;
+    return gpu->driver->launch(gpu, stream, &launch);
+}
+
+static struct bake_failure launch_batch(struct bake_gpu *gpu, struct bake_stream *stream,
+                                        const struct bk_patch *patch, const struct bk_batch *batch)
+{
+    const uint32_t samples = (batch->end_row - batch->first_row) *
+                             (batch->end_column - batch->first_column) *
+                             (batch->end_line - batch->first_line) * gpu->params.samples;
+    if (bake_ray_count(&gpu->params) == 0)
+        return launch_patch(gpu, stream, patch, batch, BK_ADD);
+    BAKE_TRY_CALL(launch_patch(gpu, stream, patch, batch, BK_POINTS));
+    BAKE_TRY_CALL(launch_look(gpu, stream, samples));
+    return launch_patch(gpu, stream, patch, batch, BK_ADD_FOUND);
+}
+
+static struct bake_failure launch_batches(struct bake_gpu *gpu, struct bake_stream *stream,
+                                          const struct bk_patch *patch)
+{
+    const struct bk_batch size = bake_first_batch(&gpu->params, patch);
+    struct bk_batch batch = size;
+    do {
+        BAKE_TRY_CALL(launch_batch(gpu, stream, patch, &batch));
+    } while (bake_next_batch(&gpu->params, patch, &size, &batch));
+    return BAKE_NO_FAILURE;
+}
+
+static void note_times(struct bake_gpu *gpu, struct bake_stream *stream)
+{
+    const struct bake_span *times = stream->times;
+    pthread_mutex_lock(&gpu->lock);
+    bake_time_spans_add(&gpu->copies, &times[BAKE_SAMPLES]);
+    bake_time_spans_add(&gpu->kernels, &times[BAKE_KERNELS]);
+    bake_time_spans_add(&gpu->copies, &times[BAKE_TEXELS]);
+    pthread_mutex_unlock(&gpu->lock);
+}
+
+static void close_stream(struct bake_gpu *gpu, struct bake_stream *stream)
+{
+    gpu->driver->close_stream(gpu, stream);
+    if (stream->samples)
+        gpu->driver->release(gpu, stream->samples);
+    if (stream->texels)
+        gpu->driver->release(gpu, stream->texels);
+    if (stream->points)
+        gpu->driver->release(gpu, stream->points);
+    if (stream->found)
+        gpu->driver->release(gpu, stream->found);
+    stream->samples = stream->texels = stream->points = stream->found = 0;
+    stream->open = false;
+}
+
+static struct bake_failure open_worker(struct bake_gpu *gpu, struct bake_stream *stream)
+{
+    const struct bake_driver *driver = gpu->driver;
+    BAKE_TRY_CALL(driver->open_stream(gpu, stream));
+    BAKE_TRY_CALL(driver->allocate(gpu, sample_bytes(gpu, gpu->patch_texels), &stream->samples));
+    BAKE_TRY_CALL(driver->allocate(gpu, texel_bytes(gpu, gpu->patch_texels), &stream->texels));
+    if (bake_ray_count(&gpu->params) > 0) {
+        BAKE_TRY_CALL(driver->allocate(gpu, point_bytes(gpu), &stream->points));
+        BAKE_TRY_CALL(driver->allocate(gpu, found_bytes(gpu), &stream->found));
+    }
+    stream->open = true;
+    return BAKE_NO_FAILURE;
+}
+
+/* Enqueues a patch's copies and kernels on the worker's stream and waits for them. */
+static struct bake_failure gpu_trace_patch(struct bake_gpu *gpu, struct bake_stream *stream,
+                                           const struct bk_patch *patch,
+                                           const uint32_t *sample_triangles, float *texels)
+{
+    const struct bake_driver *driver = gpu->driver;
+    const uint64_t texel_count = (uint64_t)patch->width * patch->height;
+    const uint64_t bytes = sample_bytes(gpu, texel_count);
+    if (driver->attach)
+        BAKE_TRY_CALL(driver->attach(gpu));
+    if (!stream->open)
+        BAKE_TRY_CALL(open_worker(gpu, stream));
+    memcpy(stream->host[0], sample_triangles, bytes);
+    BAKE_TRY_CALL(
+        driver->send(gpu, stream, stream->host[0], bytes, stream->samples, 0, BAKE_SAMPLES));
+    BAKE_TRY_CALL(launch_batches(gpu, stream, patch));
+    BAKE_TRY_CALL(driver->fetch(gpu, stream, texel_bytes(gpu, texel_count)));
+    BAKE_TRY_CALL(driver->wait(gpu, stream, BAKE_TEXELS));
+    memcpy(texels, stream->host[0], texel_bytes(gpu, texel_count));
+    BAKE_TRY_CALL(driver->times(gpu, stream));
+    note_times(gpu, stream);
+    return BAKE_NO_FAILURE;
+}
+
+int bake_gpu_trace(struct bake_gpu *gpu, const struct bk_patch *patch,
+                   const uint32_t *sample_triangles, float *texels, unsigned worker, char *why)
+{
+    if (worker >= gpu->worker_count || (uint64_t)patch->width * patch->height > gpu->patch_texels) {
+        snprintf(why, BAKE_WHY_BYTES, "worker %u, patch of %u x %u texels: out of range", worker,
+                 (unsigned)patch->width, (unsigned)patch->height);
+        return BSQ_EBUG;
+    }
+    struct bake_stream *stream = &gpu->streams[worker];
+    const struct bake_failure failure =
+        gpu_trace_patch(gpu, stream, patch, sample_triangles, texels);
+    if (failure.code == 0)
+        return 0;
+    if (!stream->open)
+        close_stream(gpu, stream);
+    gpu_describe_failure(gpu, failure.call, failure, why);
+    return BSQ_ENODEVICE;
+}
+
+/* ---- from opening to closing ---- */
+
+struct bake_device_times bake_gpu_times(struct bake_gpu *gpu)
+{
+    struct bake_device_times times = {.upload = gpu->upload_seconds,
+                                      .copies = bake_time_spans_seconds(&gpu->copies),
+                                      .kernels = bake_time_spans_seconds(&gpu->kernels)};
+    for (unsigned i = 0; i < gpu->worker_count; i++)
+        times.launches += gpu->streams[i].launches;
+    return times;
+}
+
+/* Creates the streams' structures, and reserves their host memory. */
+static int create_streams(struct bake_gpu *gpu)
+{
+    const unsigned count = gpu->worker_count + 1;
+    const uint64_t stream_bytes = gpu->driver->stream_bytes;
+    const uint64_t samples = sample_bytes(gpu, gpu->patch_texels);
+    const uint64_t texels = texel_bytes(gpu, gpu->patch_texels);
+    const uint64_t host = samples > texels ? samples : texels;
+    int status;
+    BSQ_TRY(
+        bsq_calloc(gpu->ctx, "streams of the device", count, sizeof *gpu->streams, &gpu->streams));
+    BSQ_TRY(
+        bsq_calloc(gpu->ctx, "streams of the device", count, stream_bytes, &gpu->stream_memory));
+    for (unsigned i = 0; i < count; i++)
+        gpu->streams[i] = (struct bake_stream){
+            .own = gpu->stream_memory + i * stream_bytes, .host_count = 1, .host_bytes = host};
+    upload_stream(gpu)->host_count = 2;
+    upload_stream(gpu)->host_bytes = STAGING_BYTES;
+    status = gpu_reserve(gpu, "page-locked memory",
+                         gpu->worker_count * host + 2 * (uint64_t)STAGING_BYTES);
+done:
+    return status;
+}
+
+/* Prepares an opened device for a job and uploads the low-poly mesh. */
+static int gpu_prepare(struct bake_gpu *gpu, const struct bake_job *job)
+{
+    int status;
+    gpu->params = job->params;
+    gpu->patch_texels = job->patch_texels;
+    gpu->worker_count = bsq_threads(gpu->ctx);
+    BSQ_TRY(create_streams(gpu));
+    BSQ_TRY(share_memory(gpu, job));
+    struct bake_stream *upload = upload_stream(gpu);
+    upload->open = true;
+    BSQ_TRY(bake_gpu_fail(gpu, gpu->driver->open_stream(gpu, upload)));
+    status = send_triangles(gpu, job);
+done:
+    return status;
+}
+
+int bake_gpu_open(struct bsq_ctx *ctx, const struct bake_driver *driver, uint32_t number,
+                  const struct bake_job *job, struct bake_gpu **out)
+{
+    struct bake_gpu *gpu;
+    int status;
+    *out = NULL;
+    BSQ_TRY(bsq_calloc(ctx, "device", 1, driver->gpu_bytes, &gpu));
+    gpu->ctx = ctx;
+    gpu->driver = driver;
+    pthread_mutex_init(&gpu->lock, NULL);
+    status = driver->open(gpu, number, job);
+    if (status == 0)
+        status = gpu_prepare(gpu, job);
+    if (status == 0)
+        status = gpu_load(gpu, job);
+    if (status < 0)
+        bake_gpu_close(gpu);
+    else
+        *out = gpu;
+done:
+    return status;
+}
+
+void bake_gpu_close(struct bake_gpu *gpu)
+{
+    struct bsq_ctx *ctx = gpu->ctx;
+    if (gpu->driver->attach)
+        (void)gpu->driver->attach(gpu);
+    for (unsigned i = 0; gpu->streams && i <= gpu->worker_count; i++)
+        if (gpu->streams[i].open)
+            close_stream(gpu, &gpu->streams[i]);
+    for (int i = 0; i < BAKE_GRID_ARRAYS; i++)
+        if (gpu->arrays[i])
+            gpu->driver->release(gpu, gpu->arrays[i]);
+    if (gpu->triangles)
+        gpu->driver->release(gpu, gpu->triangles);
+    gpu->driver->close(gpu);
+    bsq_release(ctx, gpu->reserved_bytes);
+    bsq_free(ctx, gpu->streams);
+    bsq_free(ctx, gpu->stream_memory);
+    pthread_mutex_destroy(&gpu->lock);
+    bsq_free(ctx, gpu);
+}
