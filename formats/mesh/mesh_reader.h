@@ -187,6 +187,7 @@ struct fmt_material_channel {
      * Without has_value it is what the material has if another material has the channel. */
     float value[3];
     char *texture_path; /* as the file system finds it; or NULL */
+    bool lost_texture;  /* the file names a texture that cannot be used; readers do not set it */
     /* What names it, for messages: "scan.mtl:3" or "scan.gltf"; NULL: nothing, or the texture is a
      * part of the scan's own file. */
     char *texture_place;

@@ -223,16 +223,14 @@ int vox_textures_preview(struct bsq_ctx *ctx, struct fmt_mesh_reader *reader,
                          const char *texture_path, bool has_texcoords,
                          struct scan_textures *textures);
 /* Notes the textures of materials as inputs, and checks those that have not been checked yet:
- * decodes them once. */
-int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *materials,
+ * decodes them once. Materials lose those that cannot be used. */
+int vox_textures_check(struct bsq_ctx *ctx, struct fmt_materials *materials,
                        bool has_texcoords, struct scan_textures *textures);
 /* Checks alike a texture of the options, which must be good. */
 int vox_textures_check_image(struct bsq_ctx *ctx, const char *path, struct scan_textures *textures);
-/* Returns whether a texture was checked and can be used. */
-bool vox_textures_have(const struct scan_textures *textures, const char *path);
 /* If the scan keeps opacity, makes the alpha channels of colour textures the opacity of their
- * materials, unless a material names another good texture of opacity. path: the colour texture of
- * all materials; NULL: their own ones. They were checked. */
+ * materials, unless a material has another texture of opacity. path: the colour texture of all
+ * materials; NULL: their own ones. They were checked. */
 int vox_textures_use_alpha(struct scan *scan, const struct scan_textures *textures,
                            const char *path, struct fmt_materials *materials);
 void vox_textures_free(struct bsq_ctx *ctx, struct scan_textures *textures);

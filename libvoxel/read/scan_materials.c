@@ -57,29 +57,24 @@ static int resolve_texture(struct scan *scan, const char *path, char **out)
     return status;
 }
 
-/* Returns the texture that gives a material a channel: the image of the options or, if it is good,
- * the material's own texture; NULL: neither. */
-static const char *channel_texture(const struct scan *scan, const struct scan_textures *textures,
-                                   const struct fmt_material *from, uint32_t number)
+/* Returns the texture that gives a material a channel: the image of the options or the material's
+ * own texture; NULL: neither. */
+static const char *channel_texture(const struct scan *scan, const struct fmt_material *from,
+                                   uint32_t number)
 {
     const struct vox_channel *wanted = &scan->channels[number];
     const struct fmt_material_channel *own = fmt_material_find_channel(from, wanted->name);
     if (scan_count(scan, SCAN_TEXCOORDS) == 0)
         return NULL;
-    if (wanted->texture_path)
-        return wanted->texture_path;
-    return own && own->texture_path && vox_textures_have(textures, own->texture_path)
-               ? own->texture_path
-               : NULL;
+    return wanted->texture_path ? wanted->texture_path : own ? own->texture_path : NULL;
 }
 
 /* Returns whether a texture gives a material one of the channels that are kept. */
-static bool any_channel_texture(const struct scan *scan, const struct scan_textures *textures,
-                                const struct fmt_material *from)
+static bool any_channel_texture(const struct scan *scan, const struct fmt_material *from)
 {
     bool any = false;
     for (uint32_t c = 0; c < scan->channel_count; c++)
-        any |= channel_texture(scan, textures, from, c) != NULL;
+        any |= channel_texture(scan, from, c) != NULL;
     return any;
 }
 
@@ -99,8 +94,9 @@ static void set_value(const struct bsq_channel *channel, const struct fmt_materi
  * usual value; a warning tells of it. A value of 0 everywhere tells nothing. */
 static bool gives_value(const struct scan *scan, const struct fmt_material_channel *own)
 {
-    return own && (own->has_value || (own->texture_path && own->channel->usual > 0 &&
-                                      scan_count(scan, SCAN_TEXCOORDS) > 0));
+    return own &&
+           (own->has_value || ((own->texture_path || own->lost_texture) &&
+                               own->channel->usual > 0 && scan_count(scan, SCAN_TEXCOORDS) > 0));
 }
 
 /* ---- which channels are kept ---- */
@@ -112,27 +108,25 @@ static bool is_used(const struct scan *scan, uint32_t number)
 }
 
 /* Returns whether a material that faces use gives a channel a texture or a value. */
-static bool any_gives(const struct scan *scan, const struct scan_textures *textures,
-                      const struct fmt_materials *found, uint32_t channel)
+static bool any_gives(const struct scan *scan, const struct fmt_materials *found, uint32_t channel)
 {
     bool any = false;
     for (uint32_t i = 0; i < found->count && !any; i++)
         any = is_used(scan, i) &&
-              (channel_texture(scan, textures, &found->list[i], channel) ||
+              (channel_texture(scan, &found->list[i], channel) ||
                gives_value(
                    scan, fmt_material_find_channel(&found->list[i], scan->channels[channel].name)));
     return any;
 }
 
 /* Drops optional channels that no material has. */
-static int drop_optional(struct scan *scan, const struct scan_textures *textures,
-                         const struct fmt_materials *found)
+static int drop_optional(struct scan *scan, const struct fmt_materials *found)
 {
     uint32_t count = 0;
     int status = bsq_calloc(scan->ctx, "channels", scan->channel_count + UINT64_C(1),
                             sizeof *scan->found_optional, &scan->found_optional);
     for (uint32_t c = 0; c < scan->channel_count && status == 0; c++)
-        if (!scan->channels[c].optional || any_gives(scan, textures, found, c))
+        if (!scan->channels[c].optional || any_gives(scan, found, c))
             scan->found_optional[count++] = scan->channels[c];
     if (status == 0) {
         scan->channels = scan->found_optional;
@@ -198,8 +192,8 @@ static int warn_of_unkept(struct scan *scan, const struct fmt_materials *found)
 
 /* Gives an entry of the table its channels. textured: whether its triangles have texture
  * coordinates. */
-static int add_sources(struct scan *scan, const struct scan_textures *textures,
-                       const struct fmt_material *from, bool textured, uint32_t number)
+static int add_sources(struct scan *scan, const struct fmt_material *from, bool textured,
+                       uint32_t number)
 {
     struct fmt_tris_material *material = &scan->materials[number];
     if (scan->channel_count == 0)
@@ -210,7 +204,7 @@ static int add_sources(struct scan *scan, const struct scan_textures *textures,
         struct fmt_tris_source *source = &material->sources[c];
         const struct fmt_material_channel *own =
             fmt_material_find_channel(from, scan->channels[c].name);
-        const char *path = textured ? channel_texture(scan, textures, from, c) : NULL;
+        const char *path = textured ? channel_texture(scan, from, c) : NULL;
         scan->found_channels[c] |= path || gives_value(scan, own);
         const struct bsq_channel *channel = bsq_channel_find(scan->channels[c].name);
         set_value(channel, own, source);
@@ -332,49 +326,42 @@ static int whiten_colorless(struct scan *scan)
 /* Returns whether some materials name textures of their colour, no such texture can be used, and no
  * other material has a colour. What these materials say of their colour is mostly a factor of the
  * texture, such as white, so the scan has no colours then. */
-static bool colors_are_lost(const struct scan *scan, const struct scan_textures *textures,
-                            const struct fmt_materials *found)
+static bool colors_are_lost(const struct scan *scan, const struct fmt_materials *found)
 {
     bool lost = false, others = false;
     for (uint32_t i = 0; i < found->count; i++) {
-        const struct fmt_material *material = &found->list[i];
-        const bool good = material->color.texture_path &&
-                          (scan_count(scan, SCAN_TEXCOORDS) == 0 ||
-                           vox_textures_have(textures, material->color.texture_path));
+        const struct fmt_material_channel *color = &found->list[i].color;
         if (!is_used(scan, i))
             continue;
-        lost |= material->color.texture_path && !good;
-        others |= good || (!material->color.texture_path && material->color.has_value);
+        lost |= color->lost_texture;
+        others |= color->texture_path || (!color->lost_texture && color->has_value);
     }
     return lost && !others;
 }
 
 /* Adds the entries of a material: one for triangles with texture coordinates if a texture needs
- * them, and one for all others. given: its texture comes from the options. */
-static int add_entries(struct scan *scan, const struct scan_textures *textures,
-                       const struct fmt_material *from, bool given, uint32_t map[2])
+ * them, and one for all others. */
+static int add_entries(struct scan *scan, const struct fmt_material *from, uint32_t map[2])
 {
     const char *name = name_of(scan, from);
-    const bool colored =
-        given || (from->color.texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0 &&
-                  vox_textures_have(textures, from->color.texture_path));
-    const bool textured = colored || any_channel_texture(scan, textures, from);
-    const bool has_color =
-        from->color.has_value && !(from->color.texture_path && scan->lost_colors);
+    const bool colored = from->color.texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0;
+    const bool textured = colored || any_channel_texture(scan, from);
+    const bool names_texture = from->color.texture_path || from->color.lost_texture;
+    const bool has_color = from->color.has_value && !(names_texture && scan->lost_colors);
     const bool plain = has_color || name || scan->channel_count > 0;
     int status = 0;
     if (textured)
         BSQ_TRY(add_material(scan, colored ? from->color.texture_path : NULL, from->color.value,
                              colored || has_color, name, &map[0]));
     if (textured)
-        BSQ_TRY(add_sources(scan, textures, from, true, map[0]));
+        BSQ_TRY(add_sources(scan, from, true, map[0]));
     if (colored)
         scan->materials[map[0]].uv = from->color.uv;
     if (colored)
         scan->materials[map[0]].tinted = from->tinted;
     if (plain && (!textured || scan->lacks_texcoord)) {
         BSQ_TRY(add_material(scan, NULL, from->color.value, has_color, name, &map[1]));
-        BSQ_TRY(add_sources(scan, textures, from, false, map[1]));
+        BSQ_TRY(add_sources(scan, from, false, map[1]));
     }
     if (!textured)
         map[0] = map[1];
@@ -385,8 +372,7 @@ done:
 /* Adds the entries of all materials. The last of `found` is what faces without a material have.
  * image: the texture of all of them, or NULL. With an image, materials without names and channels
  * share an entry. */
-static int add_all(struct scan *scan, const struct scan_textures *textures,
-                   const struct fmt_materials *found, const char *image)
+static int add_all(struct scan *scan, const struct fmt_materials *found, const char *image)
 {
     int status = 0;
     for (uint32_t i = 0; i <= scan->usemtl_count; i++) {
@@ -402,7 +388,7 @@ static int add_all(struct scan *scan, const struct scan_textures *textures,
         if (image && i > 0 && !keeps_materials(scan))
             map[0] = scan->material_map[0];
         else if (image || i < scan->usemtl_count || scan->channel_count > 0)
-            BSQ_TRY(add_entries(scan, textures, &from, image != NULL, map));
+            BSQ_TRY(add_entries(scan, &from, map));
     }
 done:
     return status;
@@ -410,17 +396,15 @@ done:
 
 /* Warns of faces that lose the colour of their texture, as they have no texture coordinates. Vertex
  * colours stand in for it. vox_scan_compare_files() warns of an image for several files. */
-static int warn_of_bare_faces(const struct scan *scan, const struct scan_textures *textures,
-                              const struct fmt_materials *found, const char *image)
+static int warn_of_bare_faces(const struct scan *scan, const struct fmt_materials *found,
+                              const char *image)
 {
-    const bool has_texcoords = scan_count(scan, SCAN_TEXCOORDS) > 0;
     uint64_t count = image ? scan->without_material.bare_faces : 0;
     const char *example = image;
     for (uint64_t i = 0; i < scan->material_use_count; i++) {
         const char *own =
             !image && i < scan->usemtl_count ? found->list[i].color.texture_path : NULL;
-        const bool good = own && (!has_texcoords || vox_textures_have(textures, own));
-        if (scan->material_uses[i].bare_faces == 0 || (!image && !good))
+        if (scan->material_uses[i].bare_faces == 0 || (!image && !own))
             continue;
         count += scan->material_uses[i].bare_faces;
         example = image ? image : own;
@@ -449,12 +433,12 @@ static int use_materials(struct scan *scan, struct fmt_mesh_reader *reader, cons
     if (!image || scan->channel_count > 0)
         BSQ_TRY(vox_textures_check(scan->ctx, &found, has_texcoords, textures));
     BSQ_TRY(vox_textures_use_alpha(scan, textures, image, &found));
-    BSQ_TRY(drop_optional(scan, textures, &found));
+    BSQ_TRY(drop_optional(scan, &found));
     BSQ_TRY(warn_of_unkept(scan, &found));
-    scan->lost_colors = !image && colors_are_lost(scan, textures, &found);
+    scan->lost_colors = !image && colors_are_lost(scan, &found);
     BSQ_TRY(allocate_tables(scan));
-    BSQ_TRY(add_all(scan, textures, &found, image));
-    status = warn_of_bare_faces(scan, textures, &found, image);
+    BSQ_TRY(add_all(scan, &found, image));
+    status = warn_of_bare_faces(scan, &found, image);
 done:
     fmt_materials_free(scan->ctx, &found);
     return status;
@@ -538,7 +522,7 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
     BSQ_TRY(check_ids(scan));
     scan->usemtl_count = scan->totals.materials;
     if (texture_path && scan_count(scan, SCAN_TEXCOORDS) == 0) {
-        BSQ_TRY(drop_optional(scan, textures, &(struct fmt_materials){0}));
+        BSQ_TRY(drop_optional(scan, &(struct fmt_materials){0}));
         BSQ_TRY(allocate_tables(scan));
         BSQ_TRY(bsq_warn_loss(scan->ctx, "%s: no texture coordinates, %s is not used",
                               scan->paths[0], texture_path));

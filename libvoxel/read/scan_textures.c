@@ -15,16 +15,10 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+/* Returns the entry of a texture that was entered. */
 static const struct scan_texture *find(const struct scan_textures *textures, const char *path)
 {
-    const uint64_t number = bsq_texts_find(&textures->paths, path);
-    return number < textures->paths.count ? &textures->list[number] : NULL;
-}
-
-bool vox_textures_have(const struct scan_textures *textures, const char *path)
-{
-    const struct scan_texture *texture = find(textures, path);
-    return texture && texture->good;
+    return &textures->list[bsq_texts_find(&textures->paths, path)];
 }
 
 /* Enters a texture that a material names, or the options: NULL. place: see struct scan_texture. */
@@ -145,35 +139,58 @@ static bool is_wanted(const struct scan_textures *textures, const char *channel)
     return wanted;
 }
 
-/* Enters the textures of a material that matter, and notes those that other files name as inputs of
- * the job. */
-static int enter_material(struct bsq_ctx *ctx, const struct fmt_material *material,
-                          bool has_texcoords, struct scan_textures *textures)
+/* Returns channel `number` of a material, the first of which is its colour, if it has a texture
+ * that matters; else NULL. */
+static struct fmt_material_channel *textured_channel(const struct scan_textures *textures,
+                                                     struct fmt_material *material, uint32_t number)
+{
+    struct fmt_material_channel *channel =
+        number == 0 ? &material->color : &material->channels[number - 1];
+    const bool matters =
+        number == 0 ? !textures->only_channels : is_wanted(textures, channel->channel->name);
+    return channel->texture_path && matters ? channel : NULL;
+}
+
+/* Enters the textures of a material, and notes those that other files name as inputs of the job. */
+static int enter_material(struct bsq_ctx *ctx, struct fmt_material *material, bool has_texcoords,
+                          struct scan_textures *textures)
 {
     int status = 0;
     for (uint32_t c = 0; c <= material->channel_count; c++) {
-        const struct fmt_material_channel *channel =
-            c == 0 ? &material->color : &material->channels[c - 1];
-        const char *path = channel->texture_path, *place = channel->texture_place;
-        if (!path ||
-            !(c == 0 ? !textures->only_channels : is_wanted(textures, channel->channel->name)))
-            continue;
-        if (place)
-            BSQ_TRY(bsq_note_texture(ctx, path, "the texture that %s names", place));
-        if (has_texcoords)
-            BSQ_TRY(enter(ctx, textures, path, material, place));
+        const struct fmt_material_channel *channel = textured_channel(textures, material, c);
+        if (channel && channel->texture_place)
+            BSQ_TRY(bsq_note_texture(ctx, channel->texture_path, "the texture that %s names",
+                                     channel->texture_place));
+        if (channel && has_texcoords)
+            BSQ_TRY(enter(ctx, textures, channel->texture_path, material, channel->texture_place));
     }
 done:
     return status;
 }
 
-int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *materials,
-                       bool has_texcoords, struct scan_textures *textures)
+/* Takes the textures that cannot be used from a material. */
+static void drop_bad(struct bsq_ctx *ctx, const struct scan_textures *textures,
+                     struct fmt_material *material)
+{
+    for (uint32_t c = 0; c <= material->channel_count; c++) {
+        struct fmt_material_channel *channel = textured_channel(textures, material, c);
+        if (!channel || find(textures, channel->texture_path)->good)
+            continue;
+        bsq_free(ctx, channel->texture_path);
+        channel->texture_path = NULL;
+        channel->lost_texture = true;
+    }
+}
+
+int vox_textures_check(struct bsq_ctx *ctx, struct fmt_materials *materials, bool has_texcoords,
+                       struct scan_textures *textures)
 {
     int status = 0;
     for (uint32_t i = 0; i < materials->count; i++)
         BSQ_TRY(enter_material(ctx, &materials->list[i], has_texcoords, textures));
-    status = check_new(ctx, textures);
+    BSQ_TRY(check_new(ctx, textures));
+    for (uint32_t i = 0; i < materials->count && has_texcoords; i++)
+        drop_bad(ctx, textures, &materials->list[i]);
 done:
     return status;
 }
@@ -251,19 +268,16 @@ static const struct bsq_channel *wanted_channel(const struct scan *scan)
     return NULL;
 }
 
-/* Makes the alpha of a texture a channel of the material, unless that has another texture of it,
- * which is good. Sets *lost to the material if it also has a value, which is not multiplied. */
-static int add_alpha(struct bsq_ctx *ctx, const struct scan_textures *textures,
-                     const struct bsq_channel *channel, const char *path, const struct bsq_uv *uv,
-                     struct fmt_material *material, const struct fmt_material **lost)
+/* Makes the alpha of a texture a channel of the material, unless that has another texture of it.
+ * Sets *lost to the material if it also has a value, which is not multiplied. */
+static int add_alpha(struct bsq_ctx *ctx, const struct bsq_channel *channel, const char *path,
+                     const struct bsq_uv *uv, struct fmt_material *material,
+                     const struct fmt_material **lost)
 {
     struct fmt_material_channel *entry;
     int status = fmt_material_enter_channel(ctx, material, channel, &entry);
-    if (status < 0 || (entry->texture_path && vox_textures_have(textures, entry->texture_path)))
+    if (status < 0 || entry->texture_path)
         return status;
-    bsq_free(ctx, entry->texture_path);
-    bsq_free(ctx, entry->texture_place);
-    entry->texture_place = NULL;
     status = bsq_text_copy(ctx, path, &entry->texture_path);
     if (status < 0)
         return status;
@@ -272,18 +286,6 @@ static int add_alpha(struct bsq_ctx *ctx, const struct scan_textures *textures,
     entry->component = material->cutout ? BSQ_CHANNEL_CUTOUT : BSQ_CHANNEL_ALPHA;
     entry->uv = *uv;
     return 0;
-}
-
-/* Returns the texture whose alpha a material may have, or NULL. path: of all materials, or NULL. */
-static const char *color_texture(const struct scan_textures *textures, const char *path,
-                                 const struct fmt_material *material)
-{
-    if (path)
-        return path;
-    return material->color.texture_path && !material->opaque &&
-                   vox_textures_have(textures, material->color.texture_path)
-               ? material->color.texture_path
-               : NULL;
 }
 
 int vox_textures_use_alpha(struct scan *scan, const struct scan_textures *textures,
@@ -296,10 +298,11 @@ int vox_textures_use_alpha(struct scan *scan, const struct scan_textures *textur
     for (uint32_t i = 0; i < materials->count && channel && scan_count(scan, SCAN_TEXCOORDS) > 0;
          i++) {
         struct fmt_material *material = &materials->list[i];
-        const char *texture = color_texture(textures, path, material);
+        const char *own = material->opaque ? NULL : material->color.texture_path;
+        const char *texture = path ? path : own;
         if (texture && find(textures, texture)->alpha)
-            BSQ_TRY(add_alpha(scan->ctx, textures, channel, texture,
-                              path ? &unmoved : &material->color.uv, material, &lost));
+            BSQ_TRY(add_alpha(scan->ctx, channel, texture, path ? &unmoved : &material->color.uv,
+                              material, &lost));
     }
     if (lost)
         status = bsq_warn_loss(scan->ctx,
