@@ -294,6 +294,7 @@ TEST(far_voxels_hide)
     bk_rays rays = {.open = 1, .count = 1, .sine2 = 1, .limit = BK_FAR};
     add_rectangle(&s, (double[]){60, 0, 0.1}, (double[]){60, 0, 0}, (double[]){0, 9, 0}, 1);
     open_scene(&s);
+    s.params.flags |= BK_OPEN_FALLOFF; /* distances count */
     const struct {
         float coarse, limit;
         bk_uint open;
