@@ -12,6 +12,7 @@
 #include "formats/chunks/tris.h"
 #include "libbake/bake.h"
 #include "libbake/maps/maps.h"
+#include "libbake/ray/ray.h"
 
 struct bake_exact;
 
@@ -50,69 +51,6 @@ int bake_exact_use(struct bake_exact *exact, const struct bake_exact_attributes 
 
 /* ---- rays ---- */
 
-struct bake_exact_ray {
-    float origin[3];    /* relative to the scan's origin */
-    float direction[3]; /* unit; zero: the ray hits nothing */
-};
-
-#define BAKE_EXACT_NONE UINT64_MAX
-struct bake_exact_hit {
-    double t;          /* signed distance along the direction */
-    uint64_t triangle; /* number in the file; BAKE_EXACT_NONE: no hit */
-    float normal[3];   /* unit, object space; of a surface that faces away: turned round */
-    float color[3];    /* linear RGB */
-    uint32_t id;       /* as in struct bk_map_hit; 0 without ids */
-    float facet[3];    /* unit normal of the triangle, on the side that counts as its front; of a
-                          grid: zero */
-    bool reversed;     /* that side is the scan's back */
-    uint32_t scan;     /* of several scans: the one that was hit */
-};
-
-/* The distance between neighbouring rays, by which textures are filtered: the steps of the rays'
- * origins along the rows and along the columns of the map. */
-struct bake_exact_footprint {
-    float step[2][3];
-};
-
-/* Returns how far a hit is on the way of a ray, which is in the unit of t: from t = reach inwards,
- * against its direction, and from there outwards. So up to its reach the outermost hit counts, and
- * beyond, on either side, the one with the smallest |t|. */
-static inline double bake_ray_cost(double t, double reach)
-{
-    return t <= reach ? reach - t : reach + t;
-}
-
-/* Rays of a batch with numbers from a multiple of this on are traced together. They should be
- * neighbours; rays without a direction may fill the rest. */
-enum { BAKE_EXACT_BUNDLE = 16 };
-
-struct bake_exact_batch {
-    const struct bake_exact_ray *rays;
-    struct bake_exact_hit *hits; /* out */
-    uint64_t count;              /* of rays and hits; below 2^32 */
-    double t_min, t_max;         /* range of the hits' t */
-    const float *reaches;        /* of each ray, see bake_ray_cost(); NULL: 0 */
-    bool from_reach;             /* hits with a larger t than the reach do not count */
-    double gap;                  /* hits nearer to t = 0 do not count */
-    bool distances_only;         /* do not evaluate normals and colours */
-    bool sampled; /* rays meet samples of chunks, coarse surfaces, if there are any */
-    /* Surfaces must face the ray's origin, as for a camera. Otherwise they must face its end, as
-     * for rays along the low-poly mesh's normals. */
-    bool facing_origin;
-    /* For each ray the index of its footprint in the table. NULL: textures are not filtered. */
-    const uint32_t *footprints;
-    const struct bake_exact_footprint *footprint_table;
-    /* Out: the channels of each hit, three values for each transfer; NULL: they are not wanted.
-     * Undefined for rays that hit nothing. */
-    float *channels;
-    uint64_t progress;              /* what the whole batch adds to the context's progress */
-    struct bake_exact_sweep *sweep; /* NULL: the rays meet all chunks */
-    /* Of a sweep: only chunks [first_chunk, end_chunk) are met. The first `continued` rays bring
-     * along their hits in other chunks. */
-    uint32_t first_chunk, end_chunk;
-    uint64_t continued;
-};
-
 /* Batches that go through the chunks of a scan one after the other. Rays that have chunks ahead are
  * in the next batch again. Chunks that later batches need stay in memory. */
 struct bake_exact_sweep;
@@ -147,8 +85,6 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *ba
 /* ---- secondary rays ---- */
 
 struct bake_exact_look;
-struct bake_viewpoints;
-struct bake_ray_states;
 
 /* Prepares secondary rays: takes up to a third of what is left of the budget, for the chunks of the
  * scan. params: maps, counts and lengths of rays; must outlive *out. Errors: BSQ_ENOMEM. */

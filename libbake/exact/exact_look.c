@@ -17,8 +17,6 @@
 #include <string.h>
 
 #include "base/parallel.h"
-#include "libbake/kernel/bk_secondary.h"
-#include "libbake/secondary/secondary.h"
 
 enum { BLOCK = 64 /* viewpoints that a thread traces at a time */ };
 
@@ -42,48 +40,31 @@ struct pass {
     uint64_t steps, step; /* of the progress: groups of chunks; those before this one */
 };
 
-static struct bake_exact_ray ray_of(const bk_rays *kind, const bk_viewpoint *viewpoint,
-                                    uint32_t number)
-{
-    const bk_vec3 from = bk_ray_start(kind, viewpoint);
-    const bk_vec3w d = bk_ray_directions(kind, viewpoint, number);
-    return (struct bake_exact_ray){{from.x, from.y, from.z}, {d.x, d.y, d.z}};
-}
-
 /* ---- tracing ---- */
 
-/* Traces the open rays of a viewpoint that are not hidden yet. */
-static void trace_open(const struct pass *pass, const bk_viewpoint *viewpoint, uint64_t *hidden)
+/* Traces the rays of a viewpoint, of one kind, of which more can be known. */
+static void trace_kind(const struct pass *pass, const bk_viewpoint *viewpoint, uint64_t index,
+                       bool open)
 {
     const struct bake_exact_look *look = pass->look;
-    const bk_rays kind = bk_rays_of(look->params, 1);
-    const struct exact_limits limits = {
-        .t_max = (double)look->params->open_limit, .two_sided = true, .any = true};
-    for (uint32_t i = 0; i < pass->states->opens; i++) {
-        struct exact_best best = {.triangle = BAKE_EXACT_NONE};
-        if (hidden[i / 64] >> (i % 64) & 1)
-            continue;
-        const struct bake_exact_ray ray = ray_of(&kind, viewpoint, i);
-        const bool found = BSQ_SIMD_PICK(look->exact->simd, bake_exact_group_trace)(
-            &look->group, &ray, &limits, &best);
-        hidden[i / 64] |= (uint64_t)found << (i % 64);
-    }
-}
-
-/* Shortens the distances of `count` rays of a viewpoint to their nearest hits. */
-static void trace_nearest(const struct pass *pass, const bk_viewpoint *viewpoint, bool open,
-                          uint32_t count, float *distances)
-{
-    const struct bake_exact_look *look = pass->look;
+    const struct bake_ray_states *states = pass->states;
     const bk_rays kind = bk_rays_of(look->params, open);
-    struct exact_limits limits = {.two_sided = open, .facing_origin = viewpoint->side < 0};
-    for (uint32_t i = 0; i < count; i++) {
+    const bool any = open && states->words > 0;
+    const uint64_t *hidden = bake_hidden_rays(states, index);
+    const float *distances = bake_ray_distances(states, index, open);
+    struct exact_limits limits = {
+        .two_sided = open, .facing_origin = viewpoint->side < 0, .any = any};
+    for (uint32_t i = 0; i < kind.count; i++) {
         struct exact_best best = {.triangle = BAKE_EXACT_NONE};
-        const struct bake_exact_ray ray = ray_of(&kind, viewpoint, i);
-        limits.t_max = (double)fminf(distances[i], kind.limit);
+        if (any && hidden[i / 64] >> (i % 64) & 1)
+            continue;
+        const bk_vec3 from = bk_ray_start(&kind, viewpoint);
+        const bk_vec3w d = bk_ray_directions(&kind, viewpoint, i);
+        const struct bake_exact_ray ray = {{from.x, from.y, from.z}, {d.x, d.y, d.z}};
+        limits.t_max = (double)(any ? kind.limit : fminf(distances[i], kind.limit));
         if (BSQ_SIMD_PICK(look->exact->simd, bake_exact_group_trace)(&look->group, &ray, &limits,
                                                                      &best))
-            distances[i] = fminf(distances[i], (float)best.t);
+            bake_note_hit(states, index, open, i, (float)best.t);
     }
 }
 
@@ -101,20 +82,14 @@ static int trace_block(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
     const struct pass *pass = arg;
-    const struct bake_ray_states *states = pass->states;
     const uint64_t begin = index * BLOCK, left = pass->viewpoints->count - begin;
     const uint64_t end = begin + (left < BLOCK ? left : BLOCK);
     for (uint64_t i = begin; i < end; i++) {
         bk_viewpoint viewpoint;
         if (!pass->viewpoints->get(pass->viewpoints->arg, i, &viewpoint))
             continue;
-        if (states->words > 0)
-            trace_open(pass, &viewpoint, bake_hidden_rays(states, i));
-        else if (states->opens > 0)
-            trace_nearest(pass, &viewpoint, true, states->opens,
-                          bake_ray_distances(states, i, true));
-        trace_nearest(pass, &viewpoint, false, states->solids,
-                      bake_ray_distances(states, i, false));
+        trace_kind(pass, &viewpoint, i, true);
+        trace_kind(pass, &viewpoint, i, false);
     }
     look_add_progress(pass, begin, end);
     return 0;

@@ -94,14 +94,4 @@ typedef struct bk_batch {
     bk_uint first_row, end_row, first_column, end_column, first_line, end_line;
 } bk_batch;
 
-/* What a ray found. */
-typedef struct bk_hit {
-    bk_uint found;
-    float t;          /* signed distance in voxels along the direction */
-    float normal[3];  /* unit, object space */
-    float color[3];   /* linear RGB, 0..1 */
-    bk_uint id;       /* 0 without BK_HAS_IDS */
-    bk_uint reversed; /* the scan's own normal points into the solid */
-} bk_hit;
-
 #endif

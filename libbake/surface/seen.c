@@ -156,7 +156,8 @@ static bool is_marked(const struct bake_seen *seen, uint64_t cell, uint64_t axes
 /* ---- patches on a device ---- */
 
 struct lines {
-    float rays[LINES][6], reaches[LINES];
+    struct bake_exact_ray rays[LINES];
+    float reaches[LINES];
     uint64_t count;
 };
 
@@ -164,23 +165,21 @@ static void trace_lines(const struct bake_surface *surface, const struct bake_pa
                         struct lines *lines)
 {
     const struct bk_params *params = patches->params;
-    const bool cage = params->flags & BK_CAGE;
-    const struct bake_ray_batch batch = {.rays = (const float(*)[6])lines->rays,
-                                         .count = lines->count,
-                                         .t_min = -params->back,
-                                         .t_max = params->front,
-                                         .facing = 1.0f,
-                                         .reaches = lines->reaches,
-                                         .from_reach = cage};
-    struct bk_hit hits[LINES];
-    if (lines->count > 0)
-        bake_trace_rays(&surface->scans->grid, params, &batch, hits);
+    struct bake_exact_hit hits[LINES];
+    const struct bake_exact_batch batch = {.rays = lines->rays,
+                                           .hits = hits,
+                                           .count = lines->count,
+                                           .t_min = -(double)params->back,
+                                           .t_max = (double)params->front,
+                                           .reaches = lines->reaches,
+                                           .from_reach = params->flags & BK_CAGE};
+    bake_trace_rays(&surface->scans->grid, params, 1, &batch, 0, batch.count);
     for (uint64_t i = 0; i < lines->count; i++) {
-        const float *ray = lines->rays[i];
+        const struct bake_exact_ray *ray = &lines->rays[i];
         float position[3];
         for (int k = 0; k < 3; k++)
-            position[k] = (ray[k] + hits[i].t * ray[3 + k]) * params->unit;
-        if (hits[i].found)
+            position[k] = (ray->origin[k] + (float)hits[i].t * ray->direction[k]) * params->unit;
+        if (hits[i].triangle != BAKE_EXACT_NONE)
             seen_mark(patches->seen, position, hits[i].normal, params->flags & BK_TWO_SIDED);
     }
     lines->count = 0;
@@ -211,9 +210,8 @@ void bake_seen_mark_patch(const struct bake_surface *surface, const struct bake_
                          bk_skewed(triangle, bk_lane3(&point.direction, 0),
                                    bk_sample_skew(params, patch, samples, index)));
             const bk_start start = bk_start_at(params, &point);
-            float *ray = lines.rays[lines.count];
-            bk_copy_lane(&start.origin, 0, ray);
-            bk_copy_lane(&start.direction, 0, ray + 3);
+            bk_copy_lane(&start.origin, 0, lines.rays[lines.count].origin);
+            bk_copy_lane(&start.direction, 0, lines.rays[lines.count].direction);
             lines.reaches[lines.count++] = start.reach;
             if (lines.count == LINES)
                 trace_lines(surface, patches, &lines);

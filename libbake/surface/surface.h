@@ -8,7 +8,7 @@
 #include "libbake/exact/exact.h"
 #include "libbake/lowpoly/lowpoly.h"
 #include "libbake/maps/maps.h"
-#include "libbake/secondary/secondary.h"
+#include "libbake/ray/ray.h"
 
 /* One scan. */
 struct bake_scan {

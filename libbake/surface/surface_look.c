@@ -2,7 +2,7 @@
  *
  * A wall of one scan hides the floor of another. So these rays start when the nearest hit of each
  * sample is known. They are traced through one scan after the other, and between scans a ray is
- * only a bit or a distance (libbake/secondary/). The rays are the same for all scans; in each, they
+ * only a bit or a distance (libbake/ray/ray.h). The rays are the same for all scans; in each, they
  * start as far above the surface as the coarser of the two scans needs. */
 #include "libbake/surface/surface.h"
 

@@ -17,8 +17,6 @@ struct grid_trace {
     struct bk_params params;
 };
 
-_Static_assert(sizeof(struct bake_exact_ray) == 6 * sizeof(float), "rays are read as floats");
-
 /* Spreads the progress of a batch evenly over its rays. */
 static void surface_add_progress(struct bsq_ctx *ctx, const struct bake_exact_batch *batch,
                                  uint64_t begin, uint64_t end)
@@ -32,36 +30,10 @@ static int trace_grid_rays(void *arg, uint64_t task, unsigned worker)
     (void)worker;
     const struct grid_trace *trace = arg;
     const struct bake_exact_batch *batch = &trace->rays->batch;
-    const double unit = trace->scan->unit;
     const uint64_t begin = task * RAYS_A_TASK, left = batch->count - begin;
-    const uint64_t channels = (uint64_t)BK_TRANSFER_VALUES * bk_transfers(trace->params.maps);
-    float reaches[RAYS_A_TASK];
-    struct bake_ray_batch lines = {.rays = (const float(*)[6])(const void *)(batch->rays + begin),
-                                   .count = left < RAYS_A_TASK ? left : RAYS_A_TASK,
-                                   .t_min = (float)(batch->t_min / unit),
-                                   .t_max = (float)(batch->t_max / unit),
-                                   .gap = batch->gap > 0 ? BK_NEXT_SHEET : 0.0f,
-                                   .facing = batch->facing_origin ? -1.0f : 1.0f,
-                                   .reaches = batch->reaches ? reaches : NULL,
-                                   .from_reach = batch->from_reach,
-                                   .channels =
-                                       batch->channels ? batch->channels + begin * channels : NULL};
-    struct bk_hit hits[RAYS_A_TASK];
-    for (uint64_t i = 0; i < lines.count && batch->reaches; i++)
-        reaches[i] = (float)((double)batch->reaches[begin + i] / unit);
-    if (lines.channels)
-        memset(lines.channels, 0, lines.count * channels * sizeof *lines.channels);
-    bake_trace_rays(&trace->scan->grid, &trace->params, &lines, hits);
-    for (uint64_t i = 0; i < lines.count; i++) {
-        struct bake_exact_hit *out = &batch->hits[begin + i];
-        *out = (struct bake_exact_hit){.triangle = hits[i].found ? 0 : BAKE_EXACT_NONE,
-                                       .t = (double)hits[i].t * unit,
-                                       .id = hits[i].id,
-                                       .reversed = hits[i].reversed};
-        memcpy(out->normal, hits[i].normal, sizeof out->normal);
-        memcpy(out->color, hits[i].color, sizeof out->color);
-    }
-    surface_add_progress(trace->scan->ctx, batch, begin, begin + lines.count);
+    const uint64_t end = begin + (left < RAYS_A_TASK ? left : RAYS_A_TASK);
+    bake_trace_rays(&trace->scan->grid, &trace->params, trace->scan->unit, batch, begin, end);
+    surface_add_progress(trace->scan->ctx, batch, begin, end);
     return 0;
 }
 

@@ -77,22 +77,6 @@ struct bake_grid_arrays {
  * exist. Allocates nothing. */
 void bake_list_arrays(const struct bake_job *job, struct bake_grid_arrays *out);
 
-/* Rays of a grid with one range of t and one facing rule: of the hits with t in [t_min, t_max] the
- * one that bk_nearest() chooses wins. Surfaces that face the other way are ignored, unless
- * params->flags has BK_TWO_SIDED, which turns their normals round. */
-struct bake_ray_batch {
-    const float (*rays)[6]; /* origin and unit direction of each, in index space */
-    uint64_t count;
-    float t_min, t_max;
-    float gap;            /* as in struct bk_lines */
-    float facing;         /* 1: surfaces must face along the ray; -1: against it */
-    const float *reaches; /* of each ray, voxels; NULL: 0 */
-    bool from_reach;      /* rays go inwards from their reach only */
-    /* Of each ray, BK_TRANSFER_VALUES sums for each transfer map of params->maps, to which the
-     * values at its hit are added. NULL: none. */
-    float *channels;
-};
-
 /* Returns how many rays start at each hit. */
 uint32_t bake_ray_count(const struct bk_params *params);
 

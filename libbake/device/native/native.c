@@ -1,13 +1,11 @@
 /* native.c - traces patches on the calling thread, with the widest lanes that the processor has. */
 #include "libbake/device/native/native.h"
 
-#include <math.h>
 #include <stdio.h>
 #include <unistd.h>
 
 #include "libbake/device/native/native_code.h"
 #include "libbake/device/native/tree_rays.h"
-#include "libbake/secondary/secondary.h"
 
 enum { PAIRS_PER_BAND = 1 << 18 };
 
@@ -66,36 +64,19 @@ void bake_native_close(struct bake_native *native)
     bsq_free(native->ctx, native);
 }
 
-void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                     const struct bake_ray_batch *rays, struct bk_hit *hits)
+void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params, double unit,
+                     const struct bake_exact_batch *batch, uint64_t begin, uint64_t end)
 {
     struct bk_grid native;
 
     bake_kernel_grid(grid, params, &native);
-    BSQ_SIMD_PICK(bsq_simd_best(), bake_native_rays)(&native, params, rays, hits);
+    BSQ_SIMD_PICK(bsq_simd_best(), bake_native_rays)(&native, params, unit, batch, begin, end);
 }
 
 /* Returns how many results the rays of BAKE_NATIVE_HITS viewpoints have. */
 static uint64_t native_results(const struct bk_params *params)
 {
     return BAKE_NATIVE_HITS * ((uint64_t)bk_open_rays(params) + bk_solid_rays(params));
-}
-
-/* Notes what a ray of a viewpoint met, after t voxels of a size. A ray into the solid that is as
- * long as it may be tells nothing of other scans. */
-static void native_note_hit(const struct bake_ray_states *states, uint64_t viewpoint,
-                            const bk_rays *kind, uint32_t ray, float t, double unit)
-{
-    float *distance;
-
-    if (t < 0.0f || (!kind->open && t >= kind->limit))
-        return;
-    if (kind->open && states->words > 0) {
-        bake_hidden_rays(states, viewpoint)[ray / 64] |= UINT64_C(1) << ray % 64;
-        return;
-    }
-    distance = bake_ray_distances(states, viewpoint, kind->open) + ray;
-    *distance = fminf(*distance, (float)((double)t * unit));
 }
 
 void bake_trace_viewpoints(const struct fmt_nvdb_grid *grid, const struct bake_tree *tree,
@@ -120,9 +101,13 @@ void bake_trace_viewpoints(const struct fmt_nvdb_grid *grid, const struct bake_t
             BSQ_SIMD_PICK(bsq_simd_best(), bake_tree_look)
             (&native, params, tree, &kind, points, count, memory.results, kind.count,
              memory.stream);
-            for (uint64_t i = 0; i < (uint64_t)count * kind.count; i++)
-                native_note_hit(states, numbers[i / kind.count], &kind, (uint32_t)(i % kind.count),
-                                memory.results[i], viewpoints->unit);
+            /* A ray into the solid that is as long as it may be tells nothing of other scans. */
+            for (uint64_t i = 0; i < (uint64_t)count * kind.count; i++) {
+                const float t = memory.results[i];
+                if (t >= 0.0f && (open || t < kind.limit))
+                    bake_note_hit(states, numbers[i / kind.count], open, (uint32_t)(i % kind.count),
+                                  (float)((double)t * viewpoints->unit));
+            }
         }
     }
 }

@@ -4,9 +4,7 @@
 #define BAKE_DEVICE_NATIVE_NATIVE_H
 
 #include "libbake/device/job/job.h"
-
-struct bake_viewpoints;
-struct bake_ray_states;
+#include "libbake/ray/ray.h"
 
 struct bake_native;
 
@@ -21,10 +19,13 @@ int bake_native_trace(struct bake_native *native, const struct bk_patch *patch,
 /* Describes the processor as a device. */
 struct bake_device_info bake_native_describe(const struct bsq_ctx *ctx);
 
-/* Traces rays on the calling thread, with the widest lanes of the processor. A ray without
- * direction has no hit. params: flags and maps. */
-void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                     const struct bake_ray_batch *rays, struct bk_hit *hits);
+/* Traces rays begin to end - 1 of a batch on the calling thread, with the widest lanes of the
+ * processor. The rays are in index space, whose unit is given in world units, as t is. Surfaces
+ * that face the other way count if params->flags has BK_TWO_SIDED, which turns their normals round.
+ * Of a batch with a gap, hits within BK_NEXT_SHEET voxels of t = 0 do not count. params: flags and
+ * maps. */
+void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params, double unit,
+                     const struct bake_exact_batch *batch, uint64_t begin, uint64_t end);
 
 /* Memory of the workers that trace secondary rays. */
 struct bake_tree_stream;

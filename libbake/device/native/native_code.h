@@ -4,6 +4,7 @@
 
 #include "base/simd/simd.h"
 #include "libbake/device/job/job.h"
+#include "libbake/ray/ray.h"
 
 /* Side in texels of the squares that a patch is traced in: what they share of the grid stays in the
  * first-level cache. */
@@ -31,9 +32,10 @@ typedef void bake_native_patch_fn(const struct bk_grid *grid, const struct bk_pa
                                   const struct bake_native_memory *memory, float *texels);
 BSQ_SIMD_DECLARE(bake_native_patch_fn, bake_native_patch);
 
-/* Traces rays on the calling thread. */
+/* Does what bake_trace_rays() does. */
 typedef void bake_native_rays_fn(const struct bk_grid *grid, const struct bk_params *params,
-                                 const struct bake_ray_batch *rays, struct bk_hit *hits);
+                                 double unit, const struct bake_exact_batch *batch, uint64_t begin,
+                                 uint64_t end);
 BSQ_SIMD_DECLARE(bake_native_rays_fn, bake_native_rays);
 
 #endif

@@ -144,51 +144,61 @@ void BSQ_SIMD_NAME(bake_native_patch)(const struct bk_grid *grid, const struct b
 
 /* ---- rays ---- */
 
-static void get_hit(const bk_hits *hits, bk_uint lane, struct bk_hit *out)
+/* Fills lines with rays `first` and following ones of a batch, BK_WIDTH at most. */
+static void load_lines(const struct bk_params *params, double unit,
+                       const struct bake_exact_batch *batch, uint64_t first, uint64_t end,
+                       bk_lines *lines)
 {
-    out->found = hits->found >> lane & 1;
-    out->t = bk_lane(hits->t, lane);
+    const uint64_t channels = (uint64_t)BK_TRANSFER_VALUES * bk_transfers(params->maps);
+    const bk_fw zero = bk_splat(0.0f);
+    *lines = (bk_lines){.count = end - first < BK_WIDTH ? (bk_uint)(end - first) : BK_WIDTH,
+                        .origin = bk_v3w(zero, zero, zero),
+                        .direction = bk_v3w(zero, zero, zero),
+                        .reach = zero,
+                        .t_min = bk_splat((float)(batch->t_min / unit)),
+                        .gap = batch->gap > 0 ? BK_NEXT_SHEET : 0.0f,
+                        .t_max = bk_splat((float)(batch->t_max / unit))};
+    for (bk_uint lane = 0; lane < lines->count; lane++) {
+        const float *o = batch->rays[first + lane].origin, *d = batch->rays[first + lane].direction;
+        bk_set_lane3(&lines->origin, lane, bk_v3(o[0], o[1], o[2]));
+        bk_set_lane3(&lines->direction, lane, bk_v3(d[0], d[1], d[2]));
+        if (batch->reaches)
+            bk_set_lane(lines->reach, lane, (float)((double)batch->reaches[first + lane] / unit));
+        if (batch->channels) {
+            lines->sums[lane] = batch->channels + (first + lane) * channels;
+            memset(lines->sums[lane], 0, channels * sizeof *batch->channels);
+        }
+    }
+    if (batch->from_reach)
+        lines->t_max = lines->reach;
+    lines->facing = bk_scalew(lines->direction, bk_splat(batch->facing_origin ? -1.0f : 1.0f));
+}
+
+static void get_hit(const bk_hits *hits, bk_uint lane, double unit, struct bake_exact_hit *out)
+{
+    *out = (struct bake_exact_hit){.triangle = hits->found >> lane & 1 ? 0 : BAKE_EXACT_NONE,
+                                   .t = (double)bk_lane(hits->t, lane) * unit,
+                                   .id = (bk_uint)bk_lane(hits->id, lane),
+                                   .reversed = hits->reversed >> lane & 1};
     bk_copy_lane(&hits->normal, lane, out->normal);
     bk_copy_lane(&hits->color, lane, out->color);
-    out->id = (bk_uint)bk_lane(hits->id, lane);
-    out->reversed = hits->reversed >> lane & 1;
 }
 
 void BSQ_SIMD_NAME(bake_native_rays)(const struct bk_grid *grid, const struct bk_params *params,
-                                     const struct bake_ray_batch *rays, struct bk_hit *hits)
+                                     double unit, const struct bake_exact_batch *batch,
+                                     uint64_t begin, uint64_t end)
 {
     const bk_fw zero = bk_splat(0.0f);
-    const uint64_t channels = (uint64_t)BK_TRANSFER_VALUES * bk_transfers(params->maps);
     bk_cache cache = bk_cache_empty();
+    bk_lines lines;
     bk_hits found;
 
-    for (uint64_t first = 0; first < rays->count; first += BK_WIDTH) {
-        const uint64_t left = rays->count - first;
-        bk_lines lines = {.count = left < BK_WIDTH ? (bk_uint)left : BK_WIDTH,
-                          .origin = bk_v3w(zero, zero, zero),
-                          .direction = bk_v3w(zero, zero, zero),
-                          .reach = zero,
-                          .t_min = bk_splat(rays->t_min),
-                          .gap = rays->gap,
-                          .t_max = bk_splat(rays->t_max)};
-        for (bk_uint lane = 0; lane < lines.count; lane++) {
-            const float *ray = rays->rays[first + lane];
-            bk_set_lane3(&lines.origin, lane, bk_v3(ray[0], ray[1], ray[2]));
-            bk_set_lane3(&lines.direction, lane, bk_v3(ray[3], ray[4], ray[5]));
-            if (rays->reaches)
-                bk_set_lane(lines.reach, lane, rays->reaches[first + lane]);
-            if (rays->channels)
-                lines.sums[lane] = rays->channels + (first + lane) * channels;
-        }
-        if (!bk_bits(bk_less(zero, bk_dotw(lines.direction, lines.direction)))) {
-            memset(&hits[first], 0, lines.count * sizeof *hits);
-            continue;
-        }
-        if (rays->from_reach)
-            lines.t_max = lines.reach;
-        lines.facing = bk_scalew(lines.direction, bk_splat(rays->facing));
-        bk_trace(grid, params, &cache, &lines, &found);
+    for (; begin < end; begin += lines.count) {
+        load_lines(params, unit, batch, begin, end, &lines);
+        memset(&found, 0, sizeof found);
+        if (bk_bits(bk_less(zero, bk_dotw(lines.direction, lines.direction))))
+            bk_trace(grid, params, &cache, &lines, &found);
         for (bk_uint lane = 0; lane < lines.count; lane++)
-            get_hit(&found, lane, &hits[first + lane]);
+            get_hit(&found, lane, unit, &batch->hits[begin + lane]);
     }
 }

@@ -320,17 +320,27 @@ void analytic_random_unit(uint64_t *state, double unit[3])
     unit[2] = z;
 }
 
-struct bk_hit analytic_trace(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                             const float origin[3], const float direction[3], float t_min,
-                             float t_max, float facing)
+struct traced_hit analytic_trace(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                                 const float origin[3], const float direction[3], float t_min,
+                                 float t_max, float facing)
 {
-    const float ray[6] = {origin[0],    origin[1],    origin[2],
-                          direction[0], direction[1], direction[2]};
-    const struct bake_ray_batch batch = {
-        .rays = &ray, .count = 1, .t_min = t_min, .t_max = t_max, .facing = facing};
-    struct bk_hit hit;
-    bake_trace_rays(grid, params, &batch, &hit);
-    return hit;
+    const struct bake_exact_ray ray = {{origin[0], origin[1], origin[2]},
+                                       {direction[0], direction[1], direction[2]}};
+    struct bake_exact_hit hit = {.triangle = BAKE_EXACT_NONE};
+    const struct bake_exact_batch batch = {.rays = &ray,
+                                           .hits = &hit,
+                                           .count = 1,
+                                           .t_min = (double)t_min,
+                                           .t_max = (double)t_max,
+                                           .facing_origin = facing < 0};
+    bake_trace_rays(grid, params, 1, &batch, 0, 1);
+    struct traced_hit out = {.found = hit.triangle != BAKE_EXACT_NONE,
+                             .t = (float)hit.t,
+                             .id = hit.id,
+                             .reversed = hit.reversed};
+    memcpy(out.normal, hit.normal, sizeof out.normal);
+    memcpy(out.color, hit.color, sizeof out.color);
+    return out;
 }
 
 int analytic_by_value(const void *a, const void *b)

@@ -47,10 +47,18 @@ void analytic_sine_normal(const struct analytic_sine *sine, double u, double v, 
 void analytic_sine_point(const struct analytic_sine *sine, double u, double v, double w,
                          double point[3]);
 
-/* Traces one ray, as bake_trace_rays() traces many. */
-struct bk_hit analytic_trace(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                             const float origin[3], const float direction[3], float t_min,
-                             float t_max, float facing);
+struct traced_hit {
+    bool found, reversed;
+    float t; /* voxels */
+    float normal[3], color[3];
+    uint32_t id;
+};
+
+/* Traces one ray, as bake_trace_rays() traces many. facing: 1: surfaces must face along the ray;
+ * -1: against it. */
+struct traced_hit analytic_trace(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                                 const float origin[3], const float direction[3], float t_min,
+                                 float t_max, float facing);
 
 /* Returns a deterministic random number in [0, 1). */
 double analytic_random(uint64_t *state);

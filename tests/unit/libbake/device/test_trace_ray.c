@@ -42,7 +42,7 @@ TEST(test_sphere)
     for (int i = 0; i < RAYS; i++) {
         double direction[3], at[3], dot = 0, square = 0, normal[3];
         float o[3], d[3];
-        struct bk_hit hit;
+        struct traced_hit hit;
         /* The ray goes through a point of a disc slightly larger than the sphere. */
         analytic_random_unit(&seed, direction);
         analytic_random_unit(&seed, at);
@@ -134,7 +134,7 @@ static struct sine_errors trace_sine(double wavelength, uint32_t flags, uint32_t
         double u = 74 * (analytic_random(&seed) - 0.5), v = 74 * (analytic_random(&seed) - 0.5);
         double w = 20 * (analytic_random(&seed) - 0.5), at[3], normal[3];
         float o[3], d[3];
-        struct bk_hit hit;
+        struct traced_hit hit;
         analytic_sine_point(&sine, u, v, w, at);
         for (int k = 0; k < 3; k++) {
             o[k] = (float)at[k];
@@ -227,7 +227,7 @@ TEST(test_crease)
     for (int i = 0; i < RAYS; i++) {
         double u = 4 * (analytic_random(&seed) - 0.5), v = 30 * (analytic_random(&seed) - 0.5);
         float o[3], d[3];
-        struct bk_hit hit;
+        struct traced_hit hit;
         analytic_sine_point(&frame, u, v, 10, at);
         for (int k = 0; k < 3; k++) {
             o[k] = (float)at[k];
@@ -283,7 +283,7 @@ TEST(test_thin_plate)
         for (int i = 0; i < 20000; i++) {
             float up = i & 1 ? 1 : -1;
             float direction[3] = {0.6f * (float)(i % 3 - 1), 0, 0}, origin[3];
-            struct bk_hit hit;
+            struct traced_hit hit;
             direction[2] = up * sqrtf(1 - direction[0] * direction[0]);
             for (int k = 0; k < 3; k++)
                 origin[k] = (float)(20 * (analytic_random(&seed) - 0.5));
@@ -301,7 +301,7 @@ TEST(test_thin_plate)
         both.flags |= BK_TWO_SIDED;
         for (int i = 0; i < 20000; i++) {
             float direction[3] = {0, 0, i & 1 ? 1 : -1}, origin[3] = {1.3f, 2.2f, 0};
-            struct bk_hit hit;
+            struct traced_hit hit;
             double from = z + 2 * (analytic_random(&seed) - 0.5);
             origin[2] = (float)from;
             if (fabs(from - z) < 1e-3)
@@ -338,7 +338,7 @@ TEST(test_range)
     bake_params_from_grid(&grid, &params);
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         float origin[3] = {0.3f, -0.7f, cases[i].z}, direction[3] = {0, 0, 1};
-        struct bk_hit hit;
+        struct traced_hit hit;
         hit = analytic_trace(&grid, &params, origin, direction, cases[i].t_min, cases[i].t_max, 1);
         assert_int_equal(hit.found, cases[i].found);
         if (hit.found)
@@ -378,8 +378,8 @@ TEST(test_voxels_at_the_ends_of_the_index_range_are_refused)
 TEST(test_groups_have_the_hits_of_single_rays)
 {
     enum { RAYS = 1003 };
-    static float rays[RAYS][6];
-    static struct bk_hit hits[RAYS];
+    static struct bake_exact_ray rays[RAYS];
+    static struct bake_exact_hit hits[RAYS];
     const double centre[3] = {3.3, -7.2, 5.7};
     struct analytic_grid *source = analytic_grid_create();
     struct bk_params params = {0};
@@ -395,25 +395,29 @@ TEST(test_groups_have_the_hits_of_single_rays)
         double direction[3];
         analytic_random_unit(&seed, direction);
         for (int k = 0; k < 3; k++) {
-            rays[i][k] = (float)(centre[k] + 26 * (analytic_random(&seed) - 0.5));
-            rays[i][3 + k] = i % 50 == 7 ? 0.0f : (float)direction[k];
+            rays[i].origin[k] = (float)(centre[k] + 26 * (analytic_random(&seed) - 0.5));
+            rays[i].direction[k] = i % 50 == 7 ? 0.0f : (float)direction[k];
         }
     }
     for (int sign = -1; sign <= 1; sign += 2) {
-        const struct bake_ray_batch batch = {.rays = (const float(*)[6])rays,
-                                             .count = RAYS,
-                                             .t_min = -4,
-                                             .t_max = 9,
-                                             .facing = (float)sign};
-        bake_trace_rays(&grid, &params, &batch, hits);
+        const struct bake_exact_batch batch = {.rays = rays,
+                                               .hits = hits,
+                                               .count = RAYS,
+                                               .t_min = -4,
+                                               .t_max = 9,
+                                               .facing_origin = sign < 0};
+        bake_trace_rays(&grid, &params, 1, &batch, 0, RAYS);
         for (int i = 0; i < RAYS; i++) {
-            const struct bk_hit single =
-                analytic_trace(&grid, &params, rays[i], rays[i] + 3, -4, 9, (float)sign);
-            assert_int_equal(hits[i].found, single.found);
+            const struct traced_hit single = analytic_trace(&grid, &params, rays[i].origin,
+                                                            rays[i].direction, -4, 9, (float)sign);
+            assert_int_equal(hits[i].triangle != BAKE_EXACT_NONE, single.found);
             assert_true(!single.found || i % 50 != 7);
-            if (hits[i].found)
-                assert_memory_equal(&hits[i], &single, sizeof single);
-            found += hits[i].found;
+            if (!single.found)
+                continue;
+            assert_true((float)hits[i].t == single.t && hits[i].reversed == single.reversed);
+            assert_memory_equal(hits[i].normal, single.normal, sizeof single.normal);
+            assert_memory_equal(hits[i].color, single.color, sizeof single.color);
+            found++;
         }
     }
     assert_in_range(found, RAYS / 2, RAYS * 2);

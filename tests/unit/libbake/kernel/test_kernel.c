@@ -371,7 +371,7 @@ TEST(test_traversal)
         const int32_t *corner = corners[i % 8];
         double origin[3], direction[3];
         float o[3], d[3];
-        struct bk_hit hit;
+        struct traced_hit hit;
         analytic_random_unit(&seed, direction);
         if (i % 5 == 0) /* along an axis */
             for (int k = 0; k < 3; k++)
@@ -421,7 +421,7 @@ TEST(test_degenerate_rays)
     bake_params_from_grid(&grid, &params);
     for (int i = 0; i < 200000; i++) {
         float v[6], t_min, t_max;
-        struct bk_hit hit;
+        struct traced_hit hit;
         for (int k = 0; k < 6; k++)
             v[k] = odd[(int)(ODD * analytic_random(&seed))];
         t_min = odd[(int)(ODD * analytic_random(&seed))];
