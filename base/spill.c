@@ -171,11 +171,12 @@ int bsq_spill_add(struct bsq_spill *spill, uint32_t number, const void *bytes, u
 
 /* ---- eviction ---- */
 
-int bsq_spill_evict(struct bsq_spill *spill)
+int bsq_spill_evict(struct bsq_spill *spill, bool end)
 {
     int status;
     assert(spill->slab_pages == 1);
     BSQ_TRY(open_file(spill));
+    spill->page_limit = 0;
     for (uint64_t i = 0; i < spill->page_count; i++) {
         struct bsq_spill_page *page = &spill->pages[i];
         if (page->place & BSQ_SPILL_IN_FILE)
@@ -185,16 +186,7 @@ int bsq_spill_evict(struct bsq_spill *spill)
         bsq_free(spill->ctx, *slab);
         *slab = NULL;
     }
-    spill->page_limit = 0;
-done:
-    return status;
-}
-
-int bsq_spill_finish(struct bsq_spill *spill)
-{
-    int status;
-    BSQ_TRY(bsq_spill_evict(spill));
-    for (uint32_t i = 0; i < spill->stream_count; i++) {
+    for (uint32_t i = 0; i < spill->stream_count && end; i++) {
         struct bsq_spill_stream *stream = &spill->list[i];
         uint64_t place;
         if (stream->fill > 0) {
@@ -203,7 +195,8 @@ int bsq_spill_finish(struct bsq_spill *spill)
         }
         stream->buffer = NULL;
     }
-    free_slabs(spill);
+    if (end)
+        free_slabs(spill);
 done:
     return status;
 }

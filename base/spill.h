@@ -59,12 +59,10 @@ int bsq_spill_advance(struct bsq_spill *spill, uint32_t stream, uint64_t bytes);
 /* Appends bytes to a stream. Errors: those of both functions above. */
 int bsq_spill_add(struct bsq_spill *spill, uint32_t stream, const void *bytes, uint64_t size);
 
-/* Moves the full pages of a single stream to the file and frees their memory. Later pages go there
- * too. Errors: those of bsq_spill_advance(). */
-int bsq_spill_evict(struct bsq_spill *spill);
-/* Ends appending: moves all pages to the file, also those that are not full, and frees their
- * memory. No page may have stayed in memory but those of a single stream. */
-int bsq_spill_finish(struct bsq_spill *spill);
+/* Moves all full pages to the file and frees their memory; later ones go there too. `end`: also
+ * those that are not full, and nothing can be appended any more. The spill must have a single
+ * stream, or pages of 256 KiB or more and a limit of 0. Errors: those of bsq_spill_advance(). */
+int bsq_spill_evict(struct bsq_spill *spill, bool end);
 /* Returns whether full pages go to the file. */
 static inline bool bsq_spill_in_file(const struct bsq_spill *spill)
 {

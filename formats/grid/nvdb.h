@@ -62,7 +62,7 @@ void fmt_nvdb_version(enum fmt_nvdb_type type, uint32_t version[3]);
 /* ---- writing ---- */
 struct fmt_nvdb_writer;
 
-/* Starts a grid file. Nodes and channels go to temporary files beside the output until the commit.
+/* Starts a grid file. Nodes and channels go to a temporary file beside the output until the commit.
  * Errors: BSQ_EUSAGE for a voxel size that is not positive; BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
 int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb_info *info,
                     struct fmt_nvdb_writer **out);

@@ -1,4 +1,4 @@
-/* nvdb_commit.c - writes the finished grid file from a writer's temporary files.
+/* nvdb_commit.c - writes the finished grid file from a writer's temporary file.
  *
  * All counts are known by now, and they determine all offsets. So each section is written by one
  * worker, and several at a time. The tables of internal nodes are filled in here. The children of a
@@ -29,6 +29,8 @@ struct section {
     int number;
     uint64_t at; /* offset in the file of the next byte */
     XXH3_state_t *hash;
+    XXH3_state_t *read;             /* of the bytes of a stream that were read so far */
+    struct bsq_spill_cursor cursor; /* in that stream */
     uint8_t *part;
 };
 
@@ -58,18 +60,28 @@ static void expand_node(const struct nvdb_level *level, uint64_t node_offset,
     }
 }
 
+static uint64_t stream_bytes(const struct nvdb_stream *stream)
+{
+    return stream->spill ? stream->spill->list[stream->number].bytes : 0;
+}
+
 /* Reads the next bytes of a stream. At its end, checks that all were as they were written: the grid
  * must not hold anything else that got into the temporary file. */
-static int nvdb_read_stream(struct nvdb_stream *stream, void *to, uint64_t size, uint64_t offset)
+static int nvdb_read_stream(struct section *s, const struct nvdb_stream *stream, void *to,
+                            uint64_t size, uint64_t offset)
 {
-    int status = bsq_file_read(stream->ctx, &stream->file, to, size, offset);
+    if (offset == 0) {
+        s->cursor = (struct bsq_spill_cursor){0};
+        XXH3_64bits_reset(s->read);
+    }
+    int status = bsq_spill_read(stream->spill, stream->number, offset, size, to, &s->cursor);
     if (status)
         return status;
-    XXH3_64bits_update(stream->read, to, size);
-    if (offset + size == stream->size &&
-        XXH3_64bits_digest(stream->read) != XXH3_64bits_digest(stream->written))
-        return bsq_fail(stream->ctx, BSQ_EIO, "%s: holds other bytes than were written",
-                        stream->file.path);
+    XXH3_64bits_update(s->read, to, size);
+    if (offset + size == stream_bytes(stream) &&
+        XXH3_64bits_digest(s->read) != XXH3_64bits_digest(stream->written))
+        return bsq_fail(stream->spill->ctx, BSQ_EIO, "%s: holds other bytes than were written",
+                        stream->spill->file.path);
     return 0;
 }
 
@@ -94,9 +106,9 @@ static int write_nodes(struct section *s, const struct nvdb_level *level)
     const uint64_t stub_bytes = nvdb_stub_bytes(level);
     uint64_t child = s->commit->layout.section[level->child_section].offset, fill = 0;
     int status = 0;
-    for (uint64_t at = 0; at < stubs->size; at += stub_bytes) {
+    for (uint64_t at = 0; at < stream_bytes(stubs); at += stub_bytes) {
         struct nvdb_stub stub;
-        BSQ_TRY(nvdb_read_stream(stubs, &stub, stub_bytes, at));
+        BSQ_TRY(nvdb_read_stream(s, stubs, &stub, stub_bytes, at));
         if (fill + level->node_bytes > PART_BYTES) {
             BSQ_TRY(write_hashed(s, s->part, fill));
             fill = 0;
@@ -115,9 +127,9 @@ static int write_streams(struct section *s, struct nvdb_stream streams[2])
     int status = 0;
     XXH3_copyState(s->hash, streams[0].written);
     for (int i = 0; i < 2; i++)
-        for (uint64_t at = 0, size; at < streams[i].size; at += size) {
-            size = streams[i].size - at < PART_BYTES ? streams[i].size - at : PART_BYTES;
-            BSQ_TRY(nvdb_read_stream(&streams[i], s->part, size, at));
+        for (uint64_t at = 0, size, bytes = stream_bytes(&streams[i]); at < bytes; at += size) {
+            size = bytes - at < PART_BYTES ? bytes - at : PART_BYTES;
+            BSQ_TRY(nvdb_read_stream(s, &streams[i], s->part, size, at));
             BSQ_TRY(i == 0 ? nvdb_write_bytes(s, s->part, size) : write_hashed(s, s->part, size));
         }
 done:
@@ -158,10 +170,11 @@ static int write_section(void *arg, uint64_t number, unsigned worker)
                         .number = (int)number,
                         .at = before,
                         .part = commit->parts + worker * (uint64_t)PART_BYTES,
-                        .hash = XXH3_createState()};
+                        .hash = XXH3_createState(),
+                        .read = XXH3_createState()};
     int status = 0;
-    if (!s.hash)
-        return bsq_fail(commit->writer->ctx, BSQ_ENOMEM, "no memory for a checksum");
+    if (!s.hash || !s.read)
+        BSQ_TRY(bsq_fail(commit->writer->ctx, BSQ_ENOMEM, "no memory for a checksum"));
     XXH3_64bits_reset(s.hash);
     BSQ_TRY(nvdb_write_bytes(&s, zeros, range->offset - before));
     if (range->size > 0)
@@ -172,6 +185,7 @@ static int write_section(void *arg, uint64_t number, unsigned worker)
     if (s.number < NVDB_TRAILER && nvdb_has_checksum(commit->trailer.flags, s.number))
         *nvdb_checksum(&commit->trailer, s.number) = XXH3_64bits_digest(s.hash);
 done:
+    XXH3_freeState(s.read);
     XXH3_freeState(s.hash);
     return status;
 }
@@ -231,7 +245,7 @@ done:
     return status;
 }
 
-/* Syncs the output (index 0) or closes a temporary file. Both take long, so they run in parallel.
+/* Syncs the output (index 0) or closes the temporary file. Both take long, so they run in parallel.
  */
 static int sync_or_close(void *arg, uint64_t index, unsigned worker)
 {
@@ -239,7 +253,7 @@ static int sync_or_close(void *arg, uint64_t index, unsigned worker)
     (void)worker;
     if (index == 0)
         return bsq_output_sync(writer->output);
-    fmt_nvdb_stream_close(&writer->stream[(index - 1) / 2][(index - 1) % 2]);
+    bsq_spill_free(&writer->spill);
     return 0;
 }
 
@@ -266,7 +280,7 @@ int fmt_nvdb_finish(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *tota
     *out = NULL;
     BSQ_TRY(fmt_nvdb_writer_finish(writer));
     BSQ_TRY(nvdb_write_file(writer));
-    BSQ_TRY(bsq_parallel_for(writer->ctx, 1 + 2 * NVDB_TRAILER, sync_or_close, writer));
+    BSQ_TRY(bsq_parallel_for(writer->ctx, 2, sync_or_close, writer));
     fill_totals(writer, totals);
     *out = writer->output;
     writer->output = NULL;

@@ -25,18 +25,17 @@ enum {
 
 const struct nvdb_row fmt_nvdb_rows[NVDB_SECTION_COUNT] = {
     [NVDB_HEAD] = {.name = "header"},
-    [NVDB_UPPERS] = {.name = "upper nodes", .what = "grid upper nodes"},
-    [NVDB_LOWERS] = {.name = "lower nodes", .what = "grid lower nodes"},
-    [NVDB_LEAVES] = {.name = "leaf nodes", .what = "grid leaves"},
+    [NVDB_UPPERS] = {.name = "upper nodes", .grows = true},
+    [NVDB_LOWERS] = {.name = "lower nodes", .grows = true},
+    [NVDB_LEAVES] = {.name = "leaf nodes", .grows = true},
     [NVDB_BLIND] = {.name = "blind metadata"},
-    [NVDB_NORMALS] = {"normal", SEMANTIC_NORMAL, TYPE_UINT32, 4, 0, true, "grid normals"},
-    [NVDB_PLANES] = {"plane", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, 0, true, "grid planes"},
-    [NVDB_COLORS] = {"color", SEMANTIC_COLOR, TYPE_RGBA8, 4, COLOR, true, "grid colours"},
-    [NVDB_SECONDS] = {"second", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, 0, false, "grid second words"},
-    [NVDB_IDS] = {"id", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, IDS, true, "grid ids"},
+    [NVDB_NORMALS] = {"normal", SEMANTIC_NORMAL, TYPE_UINT32, 4, 0, true, true},
+    [NVDB_PLANES] = {"plane", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, 0, true, true},
+    [NVDB_COLORS] = {"color", SEMANTIC_COLOR, TYPE_RGBA8, 4, COLOR, true, true},
+    [NVDB_SECONDS] = {"second", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, 0, false, true},
+    [NVDB_IDS] = {"id", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, IDS, true, true},
     [NVDB_NAMES] = {.name = "names", .value_bytes = 1, .flag = IDS},
-    [NVDB_CHANNELS] = {"channels", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, CHANNELS, true,
-                       "grid channels"},
+    [NVDB_CHANNELS] = {"channels", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, CHANNELS, true, true},
     [NVDB_TRAILER] = {.name = "bisque", .value_bytes = 1},
 };
 

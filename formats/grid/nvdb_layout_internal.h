@@ -241,9 +241,9 @@ struct nvdb_layout {
 struct nvdb_row {
     const char *name; /* of the channel, or for messages */
     uint32_t semantic, data_type, value_bytes;
-    uint32_t flag;    /* of the trailers of grids that have the section; 0: all grids do */
-    bool per_record;  /* it has values for each record: those of second records come last */
-    const char *what; /* what temporary files of the section hold; NULL: it does not grow */
+    uint32_t flag;   /* of the trailers of grids that have the section; 0: all grids do */
+    bool per_record; /* it has values for each record: those of second records come last */
+    bool grows;      /* with the voxels */
 };
 extern const struct nvdb_row fmt_nvdb_rows[NVDB_SECTION_COUNT];
 

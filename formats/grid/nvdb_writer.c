@@ -1,4 +1,4 @@
-/* nvdb_writer.c - takes a grid region by region and keeps its sections in temporary files.
+/* nvdb_writer.c - takes a grid region by region and keeps its sections in a temporary file.
  *
  * Regions come in the file's order, so each leaf, value index and prefix sum is final when it is
  * appended. Only the tables of internal nodes need totals: they hold distances between sections. Of
@@ -13,67 +13,40 @@
 #include "base/text.h"
 #include "formats/grid/nvdb_writer_internal.h"
 
+enum { PAGE_BYTES = 1 << 18 }; /* of streams */
+
 /* ---- streams ---- */
 
-static int nvdb_open_stream(struct bsq_ctx *ctx, const char *beside, const char *what,
-                            struct nvdb_stream *stream)
+/* Opens a stream of a section. Its page comes now, before others divide the memory. */
+static int nvdb_open_stream(struct fmt_nvdb_writer *writer, int section, int part)
 {
-    *stream = (struct nvdb_stream){.ctx = ctx, .file = BSQ_FILE_CLOSED};
-    int status = bsq_alloc(ctx, "grid section buffer", NVDB_STREAM_BYTES, 1, &stream->buffer);
-    if (status)
-        return status;
-    stream->written = XXH3_createState();
-    stream->read = XXH3_createState();
-    if (!stream->written || !stream->read)
-        return bsq_fail(ctx, BSQ_ENOMEM, "no memory for a checksum");
+    struct nvdb_stream *stream = &writer->stream[section][part];
+    uint8_t *at;
+    uint64_t capacity;
+    *stream = (struct nvdb_stream){.spill = &writer->spill,
+                                   .number = (uint32_t)(2 * section + part),
+                                   .written = XXH3_createState()};
+    if (!stream->written)
+        return bsq_fail(writer->ctx, BSQ_ENOMEM, "no memory for a checksum");
     XXH3_64bits_reset(stream->written);
-    XXH3_64bits_reset(stream->read);
-    return bsq_file_temp(ctx, beside, what, &stream->file);
+    return bsq_spill_reserve(stream->spill, stream->number, &at, &capacity);
 }
 
-void fmt_nvdb_stream_close(struct nvdb_stream *stream)
-{
-    if (!stream->ctx)
-        return;
-    bsq_file_close(stream->ctx, &stream->file);
-    bsq_free(stream->ctx, stream->buffer);
-    XXH3_freeState(stream->written);
-    XXH3_freeState(stream->read);
-    *stream = (struct nvdb_stream){0};
-}
-
-/* Hashes the buffer while it is in the cache, and appends it to the file. */
-static int nvdb_flush(struct nvdb_stream *stream)
-{
-    if (stream->fill == 0)
-        return 0;
-    XXH3_64bits_update(stream->written, stream->buffer, (size_t)stream->fill);
-    int status = bsq_file_append(stream->ctx, &stream->file, stream->buffer, stream->fill);
-    stream->size += stream->fill;
-    stream->fill = 0;
-    return status;
-}
-
+/* Appends to a stream. Hashes each page when it is full, while it is in the cache. */
 static int nvdb_put(struct nvdb_stream *stream, const void *bytes, uint64_t size)
 {
+    const struct bsq_spill_stream *page = &stream->spill->list[stream->number];
+    const uint8_t *from = bytes;
     int status = 0;
-    for (uint64_t done = 0, n; done < size && status == 0; done += n) {
-        const uint64_t space = NVDB_STREAM_BYTES - stream->fill;
-        n = size - done < space ? size - done : space;
-        memcpy(stream->buffer + stream->fill, (const uint8_t *)bytes + done, n);
-        stream->fill += n;
-        if (stream->fill == NVDB_STREAM_BYTES)
-            status = nvdb_flush(stream);
+    for (uint64_t part; status == 0 && size > 0; from += part, size -= part) {
+        const uint64_t space = PAGE_BYTES - page->fill;
+        part = size < space ? size : space;
+        if (part == space) {
+            XXH3_64bits_update(stream->written, page->buffer, page->fill);
+            XXH3_64bits_update(stream->written, from, part);
+        }
+        status = bsq_spill_add(stream->spill, stream->number, from, part);
     }
-    return status;
-}
-
-/* Writes the rest and frees the buffer; nothing can be added any more. */
-static int end_stream(struct nvdb_stream *stream)
-{
-    int status = nvdb_flush(stream);
-    bsq_free(stream->ctx, stream->buffer);
-    stream->buffer = NULL;
     return status;
 }
 
@@ -81,13 +54,10 @@ static int end_stream(struct nvdb_stream *stream)
 static int open_streams(struct fmt_nvdb_writer *writer, int section)
 {
     const struct nvdb_row *row = &fmt_nvdb_rows[section];
-    if (!row->what || !nvdb_has(writer->counts.flags, section))
+    if (!row->grows || !nvdb_has(writer->counts.flags, section))
         return 0;
-    int status =
-        nvdb_open_stream(writer->ctx, writer->path, row->what, &writer->stream[section][0]);
-    return status == 0 && row->per_record
-               ? nvdb_open_stream(writer->ctx, writer->path, row->what, &writer->stream[section][1])
-               : status;
+    int status = nvdb_open_stream(writer, section, 0);
+    return status == 0 && row->per_record ? nvdb_open_stream(writer, section, 1) : status;
 }
 
 /* ---- creation ---- */
@@ -159,6 +129,8 @@ int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb
     BSQ_TRY(count_channels(writer));
     BSQ_TRY(fmt_nvdb_set_names(writer, NULL, 0));
     BSQ_TRY(bsq_output_open(ctx, path, &writer->output));
+    BSQ_TRY(bsq_spill_init(&writer->spill, ctx, "sections of a grid", writer->path,
+                           2 * NVDB_TRAILER, 2 * NVDB_TRAILER, PAGE_BYTES, 0));
     for (int section = 0; section < NVDB_TRAILER; section++)
         BSQ_TRY(open_streams(writer, section));
     BSQ_TRY(begin_channels(writer));
@@ -205,7 +177,8 @@ void fmt_nvdb_discard(struct fmt_nvdb_writer *writer)
     struct bsq_ctx *ctx = writer->ctx;
     bsq_output_discard(writer->output);
     for (int i = 0; i < 2 * NVDB_TRAILER; i++)
-        fmt_nvdb_stream_close(&writer->stream[i / 2][i % 2]);
+        XXH3_freeState(writer->stream[i / 2][i % 2].written);
+    bsq_spill_free(&writer->spill);
     bsq_free(ctx, writer->keys);
     bsq_free(ctx, writer->names);
     bsq_free(ctx, writer->path);
@@ -401,7 +374,7 @@ static int nvdb_append_records(struct fmt_nvdb_writer *writer, bool second,
     int status = 0;
     for (size_t i = 0; i < sizeof members / sizeof *members; i++) {
         struct nvdb_stream *stream = &writer->stream[members[i].section][second];
-        if (stream->ctx)
+        if (stream->spill)
             BSQ_TRY(append_channel(stream, records, count, members[i].member));
     }
     if (values)
@@ -490,8 +463,10 @@ int fmt_nvdb_writer_finish(struct fmt_nvdb_writer *writer)
     BSQ_TRY(close_lower(writer));
     BSQ_TRY(close_upper(writer));
     for (int i = 0; i < 2 * NVDB_TRAILER; i++)
-        if (writer->stream[i / 2][i % 2].ctx)
-            BSQ_TRY(end_stream(&writer->stream[i / 2][i % 2]));
+        if (writer->stream[i / 2][i % 2].spill)
+            XXH3_64bits_update(writer->stream[i / 2][i % 2].written, writer->spill.list[i].buffer,
+                               writer->spill.list[i].fill);
+    status = bsq_spill_evict(&writer->spill, true);
 done:
     return status;
 }

@@ -1,25 +1,17 @@
-/* nvdb_writer_internal.h - state of a grid writer: streams in temporary files, and the open nodes.
+/* nvdb_writer_internal.h - state of a grid writer: streams in a temporary file, and the open nodes.
  */
 #ifndef FMT_GRID_NVDB_WRITER_INTERNAL_H
 #define FMT_GRID_NVDB_WRITER_INTERNAL_H
 
+#include "base/spill.h"
 #include "formats/grid/nvdb_layout_internal.h"
 
-#define NVDB_STREAM_BYTES (UINT64_C(256) << 10)
-
-/* A part of a section that grows in a temporary file, through a buffer of NVDB_STREAM_BYTES. */
+/* A part of a section that grows: a stream of the writer's spill. */
 struct nvdb_stream {
-    struct bsq_ctx *ctx; /* NULL: not in use */
-    struct bsq_file file;
-    uint64_t size; /* bytes written so far */
-    uint8_t *buffer;
-    uint64_t fill; /* bytes in the buffer */
-    /* XXH3 states of the bytes that were written to the file, and of those read from it so far. */
-    void *written, *read;
+    struct bsq_spill *spill; /* NULL: not in use */
+    uint32_t number;
+    void *written; /* XXH3 state of its bytes */
 };
-
-/* Closes a stream and frees its memory. */
-void fmt_nvdb_stream_close(struct nvdb_stream *stream);
 
 /* A stub: an internal node without its table, which needs the totals. */
 struct nvdb_stub {
@@ -41,6 +33,7 @@ struct fmt_nvdb_writer {
     /* Of each section that grows with the grid: of upper and lower nodes the stubs; of values one a
      * record, those of first records, then those of second records. */
     struct nvdb_stream stream[NVDB_TRAILER][2];
+    struct bsq_spill spill;
     int failed; /* status of the first failure; nothing can be committed after it */
 
     uint8_t *names; /* section NVDB_NAMES, counts.name_bytes; NULL: no ids */
@@ -58,7 +51,7 @@ struct fmt_nvdb_writer {
     uint32_t entry_bits, entry_rank; /* the open entry of section NVDB_SECONDS */
 };
 
-/* Closes the open nodes, writes all buffers to the temporary files and frees the buffers. */
+/* Closes the open nodes, writes all streams to the temporary file and frees their memory. */
 int fmt_nvdb_writer_finish(struct fmt_nvdb_writer *writer);
 
 #endif

@@ -96,10 +96,10 @@ int vox_stream_advance(struct attribute_stream *stream, uint64_t count)
 int vox_stream_evict(struct attribute_stream *stream)
 {
     note_head(stream, NULL, 0);
-    return bsq_spill_evict(&stream->spill);
+    return bsq_spill_evict(&stream->spill, false);
 }
 
 int vox_stream_finish(struct attribute_stream *stream)
 {
-    return bsq_spill_in_file(&stream->spill) ? bsq_spill_finish(&stream->spill) : 0;
+    return bsq_spill_in_file(&stream->spill) ? bsq_spill_evict(&stream->spill, true) : 0;
 }

@@ -123,7 +123,7 @@ int vox_estimate_check(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
     double bytes = vox_estimate_bytes(voxels, channels);
     if ((status = judge_huge(ctx, file, transform, voxels, bytes, grid_path)) < 0)
         return status;
-    /* Sections of the grid are temporary files until they are joined. */
+    /* Sections of the grid are in a temporary file until they are joined. */
     uint64_t least = (uint64_t)fmin(certainty * bytes, 0x1p62);
     return bsq_require_space(ctx, grid_path, least, least);
 }

@@ -66,7 +66,7 @@ static void try_spill(uint64_t *seed, uint32_t streams, uint64_t memory, bool ev
     append_blocks(&spill, seed, bytes);
     expect_blocks(&spill, seed, bytes);
     if (evicted)
-        assert_int_equal(bsq_spill_evict(&spill), 0);
+        assert_int_equal(bsq_spill_evict(&spill, false), 0);
     append_blocks(&spill, seed, bytes);
     expect_blocks(&spill, seed, bytes);
     for (uint32_t i = 0; i < streams; i++) {
@@ -77,7 +77,7 @@ static void try_spill(uint64_t *seed, uint32_t streams, uint64_t memory, bool ev
     assert_int_equal(bsq_temp_bytes(ctx), full > kept ? (full - kept) * PAGE : 0);
     assert_int_equal(bsq_spill_in_file(&spill), evicted || full > kept);
     if (ended) {
-        assert_int_equal(bsq_spill_finish(&spill), 0);
+        assert_int_equal(bsq_spill_evict(&spill, true), 0);
         assert_int_equal(bsq_temp_bytes(ctx), all);
         assert_int_equal(spill.slab_count, 0);
         expect_blocks(&spill, seed, bytes);

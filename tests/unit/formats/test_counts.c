@@ -114,7 +114,8 @@ TEST(voxels_are_numbered_past_2_32)
     writer->counts.voxels = START;
     for (int i = 0; i < 3; i++)
         assert_int_equal(append_leaf(writer, 128 * i), 0);
-    const struct nvdb_stream *stream = writer->stream[NVDB_LEAVES];
+    const struct bsq_spill_stream *stream =
+        &writer->spill.list[writer->stream[NVDB_LEAVES][0].number];
     assert_int_equal(stream->fill, 3 * sizeof(struct nvdb_leaf));
     const struct nvdb_leaf *leaves = (const void *)stream->buffer;
     for (uint64_t i = 0; i < 3; i++)
