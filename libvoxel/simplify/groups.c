@@ -6,18 +6,18 @@
 
 #include <string.h>
 
-#include "base/file.h"
 #include "base/parallel.h"
+#include "base/spill.h"
 
 /* CLUSTER_FACTOR: a level begins with clusters if it leaves at least this many times the triangles
  * of the last level. Clusters are faster than collapsing edges, and as good that far from the
  * result. */
-enum { GROUP_TRIANGLES = 65536, LEVEL_FACTOR = 8, CLUSTER_FACTOR = 4 };
+enum { GROUP_TRIANGLES = 65536, LEVEL_FACTOR = 8, CLUSTER_FACTOR = 4, PAGE_BYTES = 1 << 18 };
 /* Clusters leave 1.5 times as many vertices as are wanted; collapsing edges takes away the rest. */
 static const double cluster_more = 1.5;
 
-/* A mesh of a level: of the first one a chunk, of others a part of a temporary file with
- * positions, quadrics and triangles. */
+/* A mesh of a level: of the first one a chunk, of others bytes of a spill: positions, quadrics,
+ * triangles and materials. */
 struct member {
     uint64_t offset;
     uint32_t vertices, triangles;
@@ -26,7 +26,7 @@ struct member {
 struct level {
     struct bsq_ctx *ctx;
     const struct fmt_tris_file *chunks; /* of the first level, else NULL */
-    struct bsq_file file;
+    struct bsq_spill spill;             /* of one stream */
     struct member *members;
     uint64_t member_count, triangles;
     const uint32_t *numbers; /* of materials, for the file's ones; NULL: not kept */
@@ -53,7 +53,7 @@ static int open_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file, st
 {
     const struct fmt_tris_chunk_info *chunks = fmt_tris_chunks(file);
     const uint64_t count = fmt_tris_get_header(file)->chunk_count;
-    *level = (struct level){.ctx = ctx, .chunks = file, .file = BSQ_FILE_CLOSED};
+    *level = (struct level){.ctx = ctx, .chunks = file};
     int status = bsq_alloc(ctx, "groups of chunks", count, sizeof *level->members, &level->members);
     if (status < 0)
         return status;
@@ -67,7 +67,7 @@ static int open_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file, st
 
 static void close_level(struct level *level)
 {
-    bsq_file_close(level->ctx, &level->file);
+    bsq_spill_free(&level->spill);
     bsq_free(level->ctx, level->members);
     level->members = NULL;
 }
@@ -101,17 +101,18 @@ static int read_part(const struct level *level, uint64_t index, struct vox_mesh 
     const uint64_t positions = member->vertices * sizeof *mesh->positions,
                    quadrics = member->vertices * sizeof *mesh->quadrics,
                    triangles = member->triangles * sizeof *mesh->triangles;
+    const struct bsq_spill *spill = &level->spill;
+    uint64_t at = member->offset;
     int status = 0;
-    BSQ_TRY(bsq_file_read(level->ctx, &level->file, mesh->positions + mesh->vertex_count, positions,
-                          member->offset));
-    BSQ_TRY(bsq_file_read(level->ctx, &level->file, mesh->quadrics + mesh->vertex_count, quadrics,
-                          member->offset + positions));
-    BSQ_TRY(bsq_file_read(level->ctx, &level->file, mesh->triangles + mesh->triangle_count,
-                          triangles, member->offset + positions + quadrics));
+    BSQ_TRY(bsq_spill_read(spill, 0, at, positions, mesh->positions + mesh->vertex_count, NULL));
+    at += positions;
+    BSQ_TRY(bsq_spill_read(spill, 0, at, quadrics, mesh->quadrics + mesh->vertex_count, NULL));
+    at += quadrics;
+    BSQ_TRY(bsq_spill_read(spill, 0, at, triangles, mesh->triangles + mesh->triangle_count, NULL));
     if (mesh->materials)
-        status = bsq_file_read(level->ctx, &level->file, mesh->materials + mesh->triangle_count,
-                               member->triangles * sizeof *mesh->materials,
-                               member->offset + positions + quadrics + triangles);
+        status =
+            bsq_spill_read(spill, 0, at + triangles, member->triangles * sizeof *mesh->materials,
+                           mesh->materials + mesh->triangle_count, NULL);
 done:
     return status;
 }
@@ -199,18 +200,18 @@ static int write_group(void *arg, void *slot_, uint64_t sequence)
     const struct vox_mesh *mesh = &slot->mesh;
     int status = 0;
     to->members[sequence] =
-        (struct member){to->file.size, mesh->vertex_count, mesh->triangle_count};
+        (struct member){to->spill.list->bytes, mesh->vertex_count, mesh->triangle_count};
     to->member_count = sequence + 1;
     to->triangles += mesh->triangle_count;
-    BSQ_TRY(bsq_file_append(to->ctx, &to->file, mesh->positions,
-                            mesh->vertex_count * sizeof *mesh->positions));
-    BSQ_TRY(bsq_file_append(to->ctx, &to->file, mesh->quadrics,
-                            mesh->vertex_count * sizeof *mesh->quadrics));
-    BSQ_TRY(bsq_file_append(to->ctx, &to->file, mesh->triangles,
-                            mesh->triangle_count * sizeof *mesh->triangles));
+    BSQ_TRY(bsq_spill_add(&to->spill, 0, mesh->positions,
+                          mesh->vertex_count * sizeof *mesh->positions));
+    BSQ_TRY(
+        bsq_spill_add(&to->spill, 0, mesh->quadrics, mesh->vertex_count * sizeof *mesh->quadrics));
+    BSQ_TRY(bsq_spill_add(&to->spill, 0, mesh->triangles,
+                          mesh->triangle_count * sizeof *mesh->triangles));
     if (mesh->materials)
-        BSQ_TRY(bsq_file_append(to->ctx, &to->file, mesh->materials,
-                                mesh->triangle_count * sizeof *mesh->materials));
+        BSQ_TRY(bsq_spill_add(&to->spill, 0, mesh->materials,
+                              mesh->triangle_count * sizeof *mesh->materials));
     for (uint64_t i = slot->begin; i < slot->end; i++)
         bsq_progress_add(to->ctx, step->from->members[i].triangles);
 done:
@@ -231,11 +232,11 @@ static int reduce_level(const struct level *from, uint64_t target, const char *b
                             (double)(target > least ? target : least) / (double)from->triangles,
                         .cluster = least / CLUSTER_FACTOR >= target};
     int status = 0;
-    *to = (struct level){.ctx = from->ctx, .file = BSQ_FILE_CLOSED, .numbers = from->numbers};
+    *to = (struct level){.ctx = from->ctx, .numbers = from->numbers};
     BSQ_TRY(bsq_alloc(to->ctx, "groups of chunks", from->member_count, sizeof *to->members,
                       &to->members));
     BSQ_TRY(bsq_calloc(to->ctx, "groups of chunks", slot_count, sizeof *slots, &slots));
-    BSQ_TRY(bsq_file_temp(to->ctx, beside, "simplified groups", &to->file));
+    BSQ_TRY(bsq_spill_init(&to->spill, to->ctx, "simplified groups", beside, 1, 1, PAGE_BYTES, 0));
     const struct bsq_pipeline pipeline = {.produce = produce_group,
                                           .work = collapse_group,
                                           .emit = write_group,
@@ -274,7 +275,7 @@ static int number_materials(struct bsq_ctx *ctx, const struct fmt_tris_header *h
 int vox_reduce_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file, uint64_t target,
                       const char *beside, bool materials, struct vox_mesh *mesh)
 {
-    struct level level = {.ctx = ctx, .file = BSQ_FILE_CLOSED}, next;
+    struct level level = {.ctx = ctx}, next;
     uint64_t before = UINT64_MAX;
     uint32_t *numbers = NULL;
     int status = 0;
