@@ -31,7 +31,7 @@ struct parser {
     struct bsq_ctx *ctx;
     struct stream_slot *slot; /* part.lines counts the line ends passed */
     struct mesh_arrays *arrays;
-    const char *end; /* of the text */
+    const char *end; /* of the lines to be parsed before the next look for an interruption */
     bool objects;    /* keep o and g statements */
     int status;
     uint64_t vertices; /* the bits of all indices of vertices, from 1 */
@@ -616,12 +616,9 @@ static const char *parse_plain_lines(struct parser *parser, const char *p)
 
 int fmt_obj_parse_text(struct stream_slot *slot, uint64_t begin, uint64_t size, bool objects)
 {
-    const char *p = (const char *)slot->bytes + begin;
-    struct parser parser = {.ctx = slot->ctx,
-                            .slot = slot,
-                            .arrays = &slot->arrays,
-                            .end = p + size,
-                            .objects = objects};
+    const char *p = (const char *)slot->bytes + begin, *const end = p + size;
+    struct parser parser = {
+        .ctx = slot->ctx, .slot = slot, .arrays = &slot->arrays, .objects = objects};
     uint64_t line = 0;
     slot->part.lines = slot->part.carry_out = 0;
     slot->arrays.vertex_bound = 0;
@@ -631,12 +628,17 @@ int fmt_obj_parse_text(struct stream_slot *slot, uint64_t begin, uint64_t size, 
     memset(slot->bytes + begin + size, '\n', 2);
     if (slot->part.offset == 0)
         p += fmt_mesh_mark(p, size);
-    while (p && p < parser.end && slot->arrays.face_count <= slot->last_face) {
-        p = parse_plain_lines(&parser, p);
-        if (p >= parser.end)
-            break;
-        line = slot->part.lines;
-        p = parse_line(&parser, skip_blanks(&parser, p));
+    /* A part has more bytes if all lines end in a backslash, as comments may. */
+    while (p && p < end && slot->arrays.face_count <= slot->last_face && parser.status == 0) {
+        parser.end = (uint64_t)(end - p) > OBJ_PART_BYTES ? p + OBJ_PART_BYTES : end;
+        parser.status = bsq_check(slot->ctx);
+        while (p && p < parser.end && slot->arrays.face_count <= slot->last_face) {
+            p = parse_plain_lines(&parser, p);
+            if (p >= parser.end)
+                break;
+            line = slot->part.lines;
+            p = parse_line(&parser, skip_blanks(&parser, p));
+        }
     }
     if (parser.vertices > slot->arrays.vertex_bound)
         slot->arrays.vertex_bound = parser.vertices;

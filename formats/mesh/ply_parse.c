@@ -13,6 +13,14 @@
 /* No file can have this many elements of a kind; callers compare indices as signed numbers. */
 #define INDEX_LIMIT ((uint64_t)1 << 61)
 
+/* Where the values of a property go: that of vertex i to doubles[i * step] or floats[i * 3]. Both
+ * are NULL if the property is not read. */
+struct column {
+    double *doubles;
+    float *floats;
+    uint64_t step;
+};
+
 /* A position in a part. */
 struct cursor {
     const struct ply_source *source;
@@ -22,6 +30,8 @@ struct cursor {
     uint64_t line; /* of text, from the start of the file */
     char line_end; /* of text, which follows the part */
     bool text, swap;
+    int status;
+    struct column columns[PLY_ROLE_COUNT]; /* of vertices */
 };
 
 /* A face while it is read. Its indices are stored after the last corner, its texture coordinates
@@ -50,8 +60,10 @@ static bool at_line_end(const struct cursor *c)
 
 static void skip_blanks(struct cursor *c)
 {
-    while (fmt_mesh_is_space((char)*c->at) && !at_line_end(c))
-        c->at++;
+    const uint8_t *at = c->at;
+    while (fmt_mesh_is_space((char)*at) && (char)*at != c->line_end)
+        at++;
+    c->at = at;
 }
 
 static bool fail_word(const struct cursor *c, const char *what)
@@ -140,32 +152,39 @@ static inline bool read_length(struct cursor *c, const struct ply_property *p, u
     return true;
 }
 
+/* Reads numbers of a list of text, which may be as long as a file: integers, or real numbers, or
+ * any words if both are NULL. */
+static inline __attribute__((always_inline)) bool read_list_words(struct cursor *c, uint64_t count,
+                                                                  int64_t *integers, double *reals)
+{
+    enum { NUMBERS_A_LOOK = 65536 };
+    for (uint64_t i = 0; i < count; i++) {
+        if (__builtin_expect(i % NUMBERS_A_LOOK == NUMBERS_A_LOOK - 1, 0) &&
+            (c->status = bsq_check(c->slot->ctx)) != 0)
+            return false;
+        if (integers ? !read_integer_word(c, &integers[i])
+            : reals  ? !read_real_word(c, &reals[i])
+                     : !skip_word(c))
+            return false;
+    }
+    return true;
+}
+
 static inline bool skip_property(struct cursor *c, const struct ply_property *p)
 {
     uint64_t length = 1;
     if (p->count_type != PLY_NO_TYPE && !read_length(c, p, &length))
         return false;
-    if (!c->text)
-        c->at += length * fmt_ply_type_bytes[p->type];
-    for (uint64_t i = 0; c->text && i < length; i++)
-        if (!skip_word(c))
-            return false;
+    if (c->text)
+        return read_list_words(c, length, NULL, NULL);
+    c->at += length * fmt_ply_type_bytes[p->type];
     return true;
 }
 
 /* ---- vertices ---- */
 
-/* Where the values of a property go: that of vertex i to doubles[i * step] or floats[i * 3]. Both
- * are NULL if the property is not read. */
-struct column {
-    double *doubles;
-    float *floats;
-    uint64_t step;
-};
-
-static inline struct column find_column(const struct mesh_arrays *a, const struct ply_property *p)
+static struct column find_column(const struct mesh_arrays *a, enum ply_role role)
 {
-    const enum ply_role role = p->role;
     if (role >= PLY_X && role <= PLY_Z)
         return (struct column){.doubles = &a->positions[0][role - PLY_X], .step = 3};
     if (role >= PLY_NX && role <= PLY_NZ)
@@ -199,10 +218,9 @@ static inline __attribute__((always_inline)) void copy_property(struct column to
             to.floats[i * 3] = (float)ply_real(from + i * each, type, swap) * float_scale(type);
 }
 
-static void read_column(const struct mesh_arrays *a, const uint8_t *from, uint64_t each,
-                        uint64_t count, const struct ply_property *p, bool swap)
+static void read_column(struct column to, const uint8_t *from, uint64_t each, uint64_t count,
+                        const struct ply_property *p, bool swap)
 {
-    const struct column to = find_column(a, p);
     from += p->offset;
     if (p->type == PLY_FLOAT32 && !swap)
         copy_property(to, from, each, count, PLY_FLOAT32, false);
@@ -226,12 +244,13 @@ static bool copy_positions(struct mesh_arrays *a, const uint8_t *from,
         if (p != x + i || p->type != PLY_FLOAT32 || swap)
             return false;
     }
+    double(*to)[3] = a->positions;
     from += x->offset;
-    for (uint64_t i = 0; i < count; i++) {
+    for (uint64_t i = 0; i < count; i++, from += each) {
         float position[3];
-        memcpy(position, from + i * each, sizeof position);
+        memcpy(position, from, sizeof position);
         for (int k = 0; k < 3; k++)
-            a->positions[i][k] = (double)position[k];
+            to[i][k] = (double)position[k];
     }
     return true;
 }
@@ -244,7 +263,7 @@ static uint64_t read_equal_vertices(const struct cursor *c, const struct ply_ele
     const bool copied = copy_positions(c->arrays, c->at, element, count, c->swap);
     for (uint32_t i = 0; i < element->property_count; i++)
         if (p[i].role != PLY_UNUSED && !(copied && p[i].role <= PLY_Z))
-            read_column(c->arrays, c->at, each, count, &p[i], c->swap);
+            read_column(c->columns[p[i].role], c->at, each, count, &p[i], c->swap);
     return count;
 }
 
@@ -252,14 +271,14 @@ static bool read_vertex(struct cursor *c, const struct ply_element *element, uin
 {
     const struct ply_property *p = c->source->header.properties + element->first_property;
     for (uint32_t i = 0; i < element->property_count; i++, p++) {
-        const struct column to = find_column(c->arrays, p);
+        const struct column *to = &c->columns[p->role];
         double value;
-        if (!to.doubles && !to.floats ? !skip_property(c, p) : !read_real(c, p->type, &value))
+        if (!to->doubles && !to->floats ? !skip_property(c, p) : !read_real(c, p->type, &value))
             return false;
-        if (to.doubles)
-            to.doubles[vertex * to.step] = value;
-        else if (to.floats)
-            to.floats[vertex * 3] = (float)value * float_scale(p->type);
+        if (to->doubles)
+            to->doubles[vertex * to->step] = value;
+        else if (to->floats)
+            to->floats[vertex * 3] = (float)value * float_scale(p->type);
     }
     return true;
 }
@@ -331,15 +350,13 @@ static bool read_indices(struct cursor *c, const struct ply_property *p, struct 
     if (!read_length(c, p, &face->size))
         return false;
     const uint64_t each = fmt_ply_type_bytes[p->type], size = face->size;
+    if (c->text && !read_list_words(c, size, (int64_t *)to, NULL))
+        return false;
     for (uint64_t i = 0; i < size && !c->text; i++)
-        all |= to[i] = (uint64_t)ply_integer(c->at + i * each, p->type, c->swap);
+        to[i] = (uint64_t)ply_integer(c->at + i * each, p->type, c->swap);
     c->at += c->text ? 0 : size * each;
-    for (uint64_t i = 0; i < size && c->text; i++) {
-        int64_t index = 0;
-        if (!read_integer_word(c, &index))
-            return false;
-        all |= to[i] = (uint64_t)index;
-    }
+    for (uint64_t i = 0; i < size; i++)
+        all |= to[i];
     for (uint64_t i = 0; all >= INDEX_LIMIT && i < size; i++)
         if (to[i] >= INDEX_LIMIT)
             return fail_index(c, face->at, (int64_t)to[i]);
@@ -350,14 +367,13 @@ static bool read_indices(struct cursor *c, const struct ply_property *p, struct 
 static bool read_texcoords(struct cursor *c, const struct ply_property *p, struct face *face)
 {
     struct mesh_arrays *a = c->arrays;
-    double value;
     if (!read_length(c, p, &face->texcoords))
         return false;
-    for (uint64_t i = 0; i < face->texcoords; i++) {
-        if (!read_real(c, p->type, &value))
-            return false;
-        a->texcoords[a->count[FMT_MESH_TEXCOORD] + i / 2][i % 2] = value;
-    }
+    double *to = a->texcoords[a->count[FMT_MESH_TEXCOORD]];
+    if (c->text)
+        return read_list_words(c, face->texcoords, NULL, to);
+    for (uint64_t i = 0; i < face->texcoords; i++)
+        read_real(c, p->type, &to[i]);
     return true;
 }
 
@@ -559,6 +575,9 @@ int fmt_ply_parse(const struct ply_element *element, struct stream_slot *slot)
     if (status)
         return status;
     slot->arrays.vertex_bound = 0;
+    for (int role = 0; role < PLY_ROLE_COUNT && element->kind == PLY_VERTICES; role++)
+        if (element->role[role])
+            c.columns[role] = find_column(c.arrays, (enum ply_role)role);
     memset(slot->bytes + slot->part.size, 0, STREAM_PADDING);
     slot->bytes[slot->part.size] = (uint8_t)c.line_end;
     if (element->kind == PLY_VERTICES && element->list_count == 0 && !c.text)
@@ -567,5 +586,5 @@ int fmt_ply_parse(const struct ply_element *element, struct stream_slot *slot)
         count = read_elements(&c, element);
     if (element->kind == PLY_VERTICES)
         finish_vertices(&c, element, count);
-    return 0;
+    return c.status;
 }

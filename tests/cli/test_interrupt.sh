@@ -48,6 +48,26 @@ write_covering()
     }'
 }
 
+# write_list COUNT: list.ply has a face with a list of that many numbers that are not read.
+write_list()
+{
+    xyz='property float x\nproperty float y\nproperty float z'
+    list='property list int int vertex_indices\nproperty list int float quality'
+    printf "ply\nformat ascii 1.0\nelement vertex 3\n$xyz\nelement face 1\n$list\nend_header\n" >list.ply
+    printf '0 0 0\n1 0 0\n0 1 0\n' >>list.ply
+    awk -v n="$1" 'BEGIN { printf "3 0 1 2 %d", n; for (i = 0; i < n; i++) printf " 1"; print "" }' >>list.ply
+}
+
+# write_comments COUNT: comments.obj has vertices in lines whose comments end in a backslash.
+write_comments()
+{
+    awk -v n="$1" 'BEGIN {
+        for (i = 0; i < n; i++)
+            print "v " i % 7 " " i % 11 " 0 # \\"
+        print "\nf 1 2 3"
+    }' >comments.obj
+}
+
 # stops NAME LEAST PROGRAM ARGUMENT...: counts how often the program looks for an interruption, at
 # least LEAST times; then signals end it at some of these looks, evenly spread. It leaves nothing.
 stops()
@@ -105,6 +125,8 @@ of() { if [ $try = stops ]; then echo "$1"; else echo 8; fi; }
 write_polygon $size >polygon.obj
 write_materials $size
 write_covering $((size / 5)) >covering.obj
+write_list $((50 * size))
+write_comments $((50 * size))
 
 # Every loop looks at least once for 64 corners or materials, or for a triangle that covers the map.
 $try "one polygon as a scan" $(of $((size / 64))) bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 --no-tris
@@ -117,6 +139,9 @@ for surface in nvdb tris; do
     $try "triangles over the whole map, .$surface" $(of $((size / 5))) bisque-bake box.$surface covering.obj --as-is \
         -o 'slow_<MAP>.exr' --device cpu --size $side --samples 8 --memory 1G
 done
+# Readers look for it within a list of a text, and within a part that cannot be cut.
+$try "a long list" $(of 20) bisque-voxelize --parse-only list.ply
+$try "a long part" $(of 20) bisque-voxelize --parse-only comments.obj
 # A plain job of each program.
 $try "a scan" $(of 64) bisque-voxelize vase.obj -o slow.nvdb --no-tris --resolution 256
 $try "a bake" $(of 100) bisque-bake vase.nvdb low.obj -o 'slow_<MAP>.exr' --maps normal,ao --rays ao=8 --size $side --device cpu
