@@ -243,7 +243,7 @@ static int read_factor(const struct gltf_item *item, const json_t *object, const
         out->loss = "it has specular and glossiness instead, which are not read";
     for (int k = 0; k < 3; k++) {
         linear[k] = fmax(fmin(linear[k] * light, most_factor), 0);
-        out->value[k] = (float)(out->channel->color ? bsq_linear_to_srgb(linear[k]) : linear[k]);
+        out->value[k] = (float)linear[k];
         out->factor[k] =
             (float)(row->factor ? linear[k]
                                 : read_real(info, "scale", read_real(info, "strength", 1)));

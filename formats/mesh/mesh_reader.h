@@ -183,7 +183,7 @@ void fmt_mesh_use_objects(struct fmt_mesh_reader *reader);
 struct fmt_material_channel {
     const struct bsq_channel *channel; /* a row with a name, or fmt_color_channel */
     bool has_value;
-    /* As the file has it; of colours, display-referred (sRGB) up to 1, and linear light above.
+    /* Of the colour, display-referred (sRGB); of further channels that are colours, linear light.
      * Without has_value it is what the material has if another material has the channel. */
     float value[3];
     char *texture_path; /* as the file system finds it; or NULL */

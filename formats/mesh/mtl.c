@@ -283,7 +283,8 @@ static int read_map(struct reader *reader, char *rest, struct fmt_material_chann
     return status;
 }
 
-/* Reads the value of a channel from the statement at `p`. */
+/* Reads the value of a channel from the statement at `p`. Colours are sRGB, which ends at 1; if a
+ * number is above that, all three are linear light. */
 static int read_channel_value(struct reader *reader, char *p, char *rest,
                               struct fmt_material_channel *entry)
 {
@@ -291,8 +292,13 @@ static int read_channel_value(struct reader *reader, char *p, char *rest,
     const double most = inverse || entry->channel == &fmt_color_channel ? 1 : most_number;
     bool known = false;
     int status = read_values(reader, rest, most, entry->value, &known);
-    for (int k = 0; k < 3 && inverse && known; k++)
-        entry->value[k] = 1 - entry->value[k];
+    const float *v = entry->value;
+    const bool encoded = entry->channel->color && entry->channel != &fmt_color_channel &&
+                         v[0] <= 1 && v[1] <= 1 && v[2] <= 1;
+    for (int k = 0; k < 3 && known; k++)
+        entry->value[k] = inverse   ? 1 - v[k]
+                          : encoded ? (float)bsq_srgb_to_linear((double)v[k])
+                                    : v[k];
     entry->has_value |= known;
     return status;
 }

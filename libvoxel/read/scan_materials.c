@@ -78,18 +78,6 @@ static bool any_channel_texture(const struct scan *scan, const struct fmt_materi
     return any;
 }
 
-/* Sets the value of a channel. own: what the material says of it, or NULL. A colour's value above 1
- * is light already: sRGB ends at 1. */
-static void set_value(const struct bsq_channel *channel, const struct fmt_material_channel *own,
-                      struct fmt_tris_source *out)
-{
-    for (int k = 0; k < 3; k++) {
-        const float value = own ? own->value[channel->values == 1 ? 0 : k] : channel->usual;
-        out->value[k] =
-            channel->color && value <= 1.0f ? (float)bsq_srgb_to_linear((double)value) : value;
-    }
-}
-
 /* Returns whether a material gives a channel a value. A texture that cannot be used leaves the
  * usual value; a warning tells of it. A value of 0 everywhere tells nothing. */
 static bool gives_value(const struct scan *scan, const struct fmt_material_channel *own)
@@ -207,7 +195,8 @@ static int add_sources(struct scan *scan, const struct fmt_material *from, bool 
         const char *path = textured ? channel_texture(scan, from, c) : NULL;
         scan->found_channels[c] |= path || gives_value(scan, own);
         const struct bsq_channel *channel = bsq_channel_find(scan->channels[c].name);
-        set_value(channel, own, source);
+        for (int k = 0; k < 3; k++)
+            source->value[k] = own ? own->value[channel->values == 1 ? 0 : k] : channel->usual;
         if (path)
             status = resolve_texture(scan, path, &source->texture_path);
         source->component = path ? channel->component : 0;

@@ -407,7 +407,9 @@ TEST(test_textures)
                  "'accessors':[{'bufferView':0,'componentType':5126,'count':3,'type':'VEC3'},"
                  "{'bufferView':0,'byteOffset':36,'componentType':5126,'count':3,'type':'VEC2'}],"
                  "'images':[{%s}],'textures':[{},{'source':0}],"
-                 "'materials':[{'name':'a','pbrMetallicRoughness':{'baseColorFactor':[1,0.5,0,1]}},"
+                 "'materials':[{'name':'a','pbrMetallicRoughness':{'baseColorFactor':[1,0.5,0,1]},"
+                 "'emissiveFactor':[1,0.5,0],'extensions':{'KHR_materials_emissive_strength':{"
+                 "'emissiveStrength':4}}},"
                  "{'name':'b','pbrMetallicRoughness':{'baseColorTexture':{'index':1,'texCoord':4,"
                  "'extensions':{'KHR_texture_transform':{'offset':[0.5,0.125],'scale':[2,3],"
                  "'rotation':1.5707963267948966,'texCoord':1}}}}}],"
@@ -419,6 +421,9 @@ TEST(test_textures)
         assert_int_equal(materials.count, 2);
         assert_true(materials.list[0].color.has_value && !materials.list[1].color.has_value);
         assert_near(materials.list[0].color.value[1], 1.055 * pow(0.5, 1 / 2.4) - 0.055, 1e-6);
+        const struct fmt_material_channel *emission =
+            fmt_material_find_channel(&materials.list[0], "emission");
+        assert_true(emission->value[0] == 4 && emission->value[1] == 2 && emission->value[2] == 0);
         static const char *const names[] = {"wall a.png",
                                             "scan.gltf#base64=", "scan.bin#bytes=8+5"};
         assert_non_null(strstr(materials.list[1].color.texture_path, names[i]));

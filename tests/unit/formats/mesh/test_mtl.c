@@ -75,6 +75,28 @@ TEST(test_diffuse)
     close_fixture(&f);
 }
 
+/* Colours of further channels are sRGB, unless one of their numbers is light above that. */
+TEST(test_linear_colours)
+{
+    static const struct {
+        const char *statement;
+        float light[3];
+    } cases[] = {{"Ke 0.2 0.4 2", {0.2f, 0.4f, 2}},
+                 {"Ke 3", {3, 3, 3}},
+                 {"Ke 0.5 0.04 1", {0.21404114f, 0.0030959753f, 1}}};
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct fixture f;
+        char text[80];
+        snprintf(text, sizeof text, "newmtl a\n%s\n", cases[i].statement);
+        read_text(&f, text);
+        const struct fmt_material_channel *emission =
+            fmt_material_find_channel(&f.materials.list[0], "emission");
+        for (int k = 0; k < 3; k++)
+            assert_float_equal(emission->value[k], cases[i].light[k], 1e-7);
+        close_fixture(&f);
+    }
+}
+
 TEST(test_map_paths)
 {
     static const struct {
