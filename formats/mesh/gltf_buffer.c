@@ -257,18 +257,17 @@ int fmt_gltf_read_bytes(struct bsq_ctx *ctx, const struct gltf_source *source, u
 
 /* ---- accessors: elements of all types ---- */
 
+/* By the code of a component, from GLTF_INT8 on: its bytes, and the integer that stands for 1 in
+ * normalized ones. */
+static const struct component_type {
+    uint32_t bytes;
+    double one;
+} component_types[] = {{1, 127}, {1, 255},          {2, 32767}, {2, 65535},
+                       {0, 1},   {4, 4294967295.0}, {4, 1}};
+
 uint32_t fmt_gltf_component_bytes(enum gltf_component component)
 {
-    switch (component) {
-    case GLTF_INT8:
-    case GLTF_UINT8:
-        return 1;
-    case GLTF_INT16:
-    case GLTF_UINT16:
-        return 2;
-    default:
-        return 4;
-    }
+    return component_types[component - GLTF_INT8].bytes;
 }
 
 static int read_component(const struct gltf_item *item, const json_t *object,
@@ -276,7 +275,8 @@ static int read_component(const struct gltf_item *item, const json_t *object,
 {
     uint64_t code = GLTF_REQUIRED;
     int status = fmt_gltf_number(item, object, "componentType", INT32_MAX, &code);
-    if (!status && (code < GLTF_INT8 || code > GLTF_FLOAT || code == 5124))
+    if (!status &&
+        (code < GLTF_INT8 || code > GLTF_FLOAT || component_types[code - GLTF_INT8].bytes == 0))
         status = fmt_gltf_fail(item, "unknown componentType %" PRIu64, code);
     *out = status ? GLTF_UINT8 : (enum gltf_component)code;
     return status;
@@ -401,10 +401,9 @@ static void convert(const uint8_t *from, uint64_t stride, enum gltf_component co
 /* Makes integers numbers from 0 or -1 to 1. */
 static void normalize(const struct gltf_accessor *accessor, double *values, uint64_t count)
 {
-    static const double limits[] = {127, 255, 32767, 65535, 1, 4294967295.0, 1};
     if (!accessor->normalized || accessor->component == GLTF_FLOAT)
         return;
-    const double limit = limits[accessor->component - GLTF_INT8];
+    const double limit = component_types[accessor->component - GLTF_INT8].one;
     for (uint64_t i = 0; i < count; i++)
         values[i] = values[i] / limit < -1 ? -1 : values[i] / limit;
 }

@@ -20,31 +20,30 @@
 namespace
 {
 
-const char *decode_meshopt(const gltf_meshopt *view)
+// Decode a part of a file into its task's number of bytes. Return NULL, or what is wrong.
+
+const char *decode_meshopt(const gltf_packed &view, const uint8_t *from, uint8_t *to)
 {
     int failed = 0;
-    switch (view->mode) {
+    switch (view.mode) {
     case GLTF_MESHOPT_ATTRIBUTES:
-        failed =
-            meshopt_decodeVertexBuffer(view->to, view->count, view->stride, view->from, view->size);
+        failed = meshopt_decodeVertexBuffer(to, view.count, view.stride, from, view.size);
         break;
     case GLTF_MESHOPT_TRIANGLES:
-        failed =
-            meshopt_decodeIndexBuffer(view->to, view->count, view->stride, view->from, view->size);
+        failed = meshopt_decodeIndexBuffer(to, view.count, view.stride, from, view.size);
         break;
     case GLTF_MESHOPT_INDICES:
-        failed = meshopt_decodeIndexSequence(view->to, view->count, view->stride, view->from,
-                                             view->size);
+        failed = meshopt_decodeIndexSequence(to, view.count, view.stride, from, view.size);
         break;
     }
     if (failed)
         return "meshoptimizer cannot decode it";
-    if (view->filter == GLTF_MESHOPT_OCTAHEDRAL)
-        meshopt_decodeFilterOct(view->to, view->count, view->stride);
-    if (view->filter == GLTF_MESHOPT_QUATERNION)
-        meshopt_decodeFilterQuat(view->to, view->count, view->stride);
-    if (view->filter == GLTF_MESHOPT_EXPONENTIAL)
-        meshopt_decodeFilterExp(view->to, view->count, view->stride);
+    if (view.filter == GLTF_MESHOPT_OCTAHEDRAL)
+        meshopt_decodeFilterOct(to, view.count, view.stride);
+    if (view.filter == GLTF_MESHOPT_QUATERNION)
+        meshopt_decodeFilterQuat(to, view.count, view.stride);
+    if (view.filter == GLTF_MESHOPT_EXPONENTIAL)
+        meshopt_decodeFilterExp(to, view.count, view.stride);
     return nullptr;
 }
 
@@ -65,7 +64,7 @@ bool copy_values(const draco::PointAttribute &from, uint64_t points, uint32_t co
     return true;
 }
 
-bool copy_attribute(const draco::Mesh &mesh, const gltf_draco_output &out)
+bool copy_attribute(const draco::Mesh &mesh, const gltf_draco_output &out, uint8_t *to)
 {
     const draco::PointAttribute *from = mesh.GetAttributeByUniqueId(out.id);
     // glTF has no booleans, and damaged ones would be read as other bytes than 0 and 1.
@@ -74,17 +73,17 @@ bool copy_attribute(const draco::Mesh &mesh, const gltf_draco_output &out)
     const uint64_t points = mesh.num_points();
     switch (out.type) {
     case 5120:
-        return copy_values<int8_t>(*from, points, out.components, out.to);
+        return copy_values<int8_t>(*from, points, out.components, to);
     case 5121:
-        return copy_values<uint8_t>(*from, points, out.components, out.to);
+        return copy_values<uint8_t>(*from, points, out.components, to);
     case 5122:
-        return copy_values<int16_t>(*from, points, out.components, out.to);
+        return copy_values<int16_t>(*from, points, out.components, to);
     case 5123:
-        return copy_values<uint16_t>(*from, points, out.components, out.to);
+        return copy_values<uint16_t>(*from, points, out.components, to);
     case 5125:
-        return copy_values<uint32_t>(*from, points, out.components, out.to);
+        return copy_values<uint32_t>(*from, points, out.components, to);
     default:
-        return copy_values<float>(*from, points, out.components, out.to);
+        return copy_values<float>(*from, points, out.components, to);
     }
 }
 
@@ -97,30 +96,31 @@ void copy_indices(const draco::Mesh &mesh, uint8_t *to)
         }
 }
 
-const char *decode_mesh(const gltf_draco *task)
+const char *decode_mesh(const gltf_packed &task, const uint8_t *from, uint8_t *to)
 {
     draco::DecoderBuffer buffer;
-    buffer.Init(reinterpret_cast<const char *>(task->from), task->size);
+    buffer.Init(reinterpret_cast<const char *>(from), task.size);
     draco::Decoder decoder;
     auto decoded = decoder.DecodeMeshFromBuffer(&buffer);
     if (!decoded.ok())
         return "Draco cannot decode it";
     const std::unique_ptr<draco::Mesh> mesh = std::move(decoded).value();
-    if (mesh->num_points() != task->points || mesh->num_faces() != task->faces)
+    if (mesh->num_points() != task.points || mesh->num_faces() != task.faces)
         return "its compressed mesh has other counts of vertices or triangles";
-    for (uint32_t i = 0; i < task->output_count; i++) {
-        if (task->outputs[i].indices)
-            copy_indices(*mesh, task->outputs[i].to);
-        else if (!copy_attribute(*mesh, task->outputs[i]))
+    for (uint32_t i = 0; i < task.output_count; i++) {
+        if (task.outputs[i].indices)
+            copy_indices(*mesh, to);
+        else if (!copy_attribute(*mesh, task.outputs[i], to))
             return "its compressed mesh lacks an attribute";
+        to += task.outputs[i].bytes;
     }
     return nullptr;
 }
 
-const char *decode_draco(const gltf_draco *task)
+const char *decode_draco(const gltf_packed &task, const uint8_t *from, uint8_t *to)
 {
     try {
-        return decode_mesh(task);
+        return decode_mesh(task, from, to);
     } catch (...) {
         return "Draco cannot decode it";
     }
@@ -128,26 +128,15 @@ const char *decode_draco(const gltf_draco *task)
 
 // ---- tasks ----
 
-// Ends the program: a part is wrong.
-[[noreturn]] void fail(const gltf_packed &task, const char *what)
-{
-    const std::string list = task.is_draco ? "meshes[" : "bufferViews[";
-    fmt_program_refuse(BSQ_EDATA, (list + std::to_string(task.number) + "]: " + what).c_str());
-}
-
 // Decodes a part, and writes what it becomes.
-void run(gltf_packed task, const uint8_t *data)
+void run(const gltf_packed &task, const uint8_t *from)
 {
     std::vector<uint8_t> out(task.bytes);
-    uint8_t *to = task.meshopt.to = out.data();
-    task.meshopt.from = task.draco.from = data;
-    for (uint32_t i = 0; i < task.draco.output_count; i++) {
-        task.draco.outputs[i].to = to;
-        to += task.sizes[i];
-    }
-    const char *wrong = task.is_draco ? decode_draco(&task.draco) : decode_meshopt(&task.meshopt);
+    const char *wrong = task.is_draco ? decode_draco(task, from, out.data())
+                                      : decode_meshopt(task, from, out.data());
+    const std::string list = task.is_draco ? "meshes[" : "bufferViews[";
     if (wrong)
-        fail(task, wrong);
+        fmt_program_refuse(BSQ_EDATA, (list + std::to_string(task.number) + "]: " + wrong).c_str());
     for (size_t done = 0; done < out.size();) {
         const ssize_t count = write(STDOUT_FILENO, &out[done], out.size() - done);
         if (count <= 0)
@@ -170,11 +159,10 @@ void run_all(const uint8_t *input, size_t size)
     for (size_t at = sizeof stamp; at + sizeof task <= size;) {
         std::memcpy(&task, input + at, sizeof task);
         at += sizeof task;
-        const size_t data = task.is_draco ? task.draco.size : task.meshopt.size;
-        if (data > size - at)
+        if (task.size > size - at)
             _exit(-BSQ_EUSAGE);
         run(task, input + at);
-        at += data;
+        at += task.size;
     }
 }
 

@@ -26,7 +26,7 @@ static bool find_name(const char *name, const char *const *names, int count, int
 }
 
 /* Checks what meshoptimizer expects of its callers. */
-static bool meshopt_fits(const struct gltf_meshopt *view)
+static bool meshopt_fits(const struct gltf_packed *view)
 {
     const uint32_t stride = view->stride;
     if (view->mode != GLTF_MESHOPT_ATTRIBUTES)
@@ -39,7 +39,7 @@ static bool meshopt_fits(const struct gltf_meshopt *view)
     return stride > 0 && stride % 4 == 0 && stride <= 256;
 }
 
-static int read_modes(const struct gltf_item *item, const json_t *object, struct gltf_meshopt *out)
+static int read_modes(const struct gltf_item *item, const json_t *object, struct gltf_packed *out)
 {
     static const char *const modes[] = {"ATTRIBUTES", "TRIANGLES", "INDICES"};
     static const char *const filters[] = {"NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL"};
@@ -81,29 +81,28 @@ static int add_packed(const struct gltf_item *item, struct gltf_source *source,
 int fmt_gltf_read_packed_view(const struct gltf_item *item, struct gltf_source *source,
                               const json_t *object, struct gltf_view *view)
 {
-    struct gltf_packed packed = {.number = (uint32_t)item->index};
-    struct gltf_meshopt *meshopt = &packed.meshopt;
+    struct gltf_packed packed = {
+        .number = (uint32_t)item->index, .count = GLTF_REQUIRED, .size = GLTF_REQUIRED};
     uint64_t stride = GLTF_REQUIRED;
-    meshopt->count = meshopt->size = GLTF_REQUIRED;
     int status;
     BSQ_TRY(fmt_gltf_index(item, object, "buffer", "buffers", &packed.buffer));
     BSQ_TRY(fmt_gltf_number(item, object, "byteOffset", INT64_MAX / 4, &packed.offset));
-    BSQ_TRY(fmt_gltf_number(item, object, "byteLength", INT64_MAX / 4, &meshopt->size));
+    BSQ_TRY(fmt_gltf_number(item, object, "byteLength", INT64_MAX / 4, &packed.size));
     BSQ_TRY(fmt_gltf_number(item, object, "byteStride", 256, &stride));
-    BSQ_TRY(fmt_gltf_number(item, object, "count", INT64_MAX / 4096, &meshopt->count));
-    BSQ_TRY(read_modes(item, object, meshopt));
-    meshopt->stride = (uint32_t)stride;
-    packed.bytes = meshopt->count * stride;
-    if (!meshopt_fits(meshopt))
+    BSQ_TRY(fmt_gltf_number(item, object, "count", INT64_MAX / 4096, &packed.count));
+    BSQ_TRY(read_modes(item, object, &packed));
+    packed.stride = (uint32_t)stride;
+    packed.bytes = packed.count * stride;
+    if (!meshopt_fits(&packed))
         return fmt_gltf_fail(item, "a stride or count that meshoptimizer cannot decode");
     /* The encoding takes a quarter of a byte for 16 bytes at least. */
-    if (packed.bytes != view->size || packed.bytes / 64 > meshopt->size)
-        return fmt_gltf_fail(item, "%" PRIu64 " compressed bytes cannot hold %" PRIu64,
-                             meshopt->size, view->size);
+    if (packed.bytes != view->size || packed.bytes / 64 > packed.size)
+        return fmt_gltf_fail(item, "%" PRIu64 " compressed bytes cannot hold %" PRIu64, packed.size,
+                             view->size);
     const uint64_t bytes = packed.buffer == GLTF_NONE || source->buffers[packed.buffer].missing
                                ? 0
                                : source->buffers[packed.buffer].extent.size;
-    if (packed.offset > bytes || meshopt->size > bytes - packed.offset)
+    if (packed.offset > bytes || packed.size > bytes - packed.offset)
         return fmt_gltf_fail(item, "its compressed bytes are outside of their buffer");
     view->buffer = GLTF_NONE;
     BSQ_TRY(add_decoded(item, source, packed.bytes, &view->offset));
@@ -119,7 +118,7 @@ done:
 enum { DRACO_ELEMENTS_PER_BYTE = 65536 };
 
 /* Checks the counts of a compressed mesh before memory is reserved for them. */
-static int check_counts(const struct gltf_item *item, const struct gltf_draco *mesh)
+static int check_counts(const struct gltf_item *item, const struct gltf_packed *mesh)
 {
     const uint64_t count = mesh->points > mesh->faces ? mesh->points : mesh->faces;
     if (count <= UINT32_MAX && count / DRACO_ELEMENTS_PER_BYTE <= mesh->size)
@@ -154,9 +153,8 @@ static int add_view(const struct gltf_item *item, struct gltf_source *source, ui
 
 /* Adds an attribute, or the indices, to what is decoded, unless the file has it uncompressed. */
 static int add_output(const struct gltf_item *item, struct gltf_source *source, uint32_t accessor,
-                      const json_t *attributes, const char *key, struct gltf_packed *packed)
+                      const json_t *attributes, const char *key, struct gltf_packed *mesh)
 {
-    struct gltf_draco *mesh = &packed->draco;
     struct gltf_accessor *a = &source->accessors[accessor];
     uint64_t id = GLTF_REQUIRED;
     if (accessor == GLTF_NONE || a->view != GLTF_NONE || (key && !json_object_get(attributes, key)))
@@ -166,14 +164,14 @@ static int add_output(const struct gltf_item *item, struct gltf_source *source, 
         return status;
     if (!key)
         a->component = GLTF_UINT32;
-    mesh->outputs[mesh->output_count++] =
-        (struct gltf_draco_output){.indices = !key,
-                                   .id = key ? (uint32_t)id : 0,
-                                   .components = a->components,
-                                   .type = (uint32_t)a->component};
     const uint32_t each = fmt_gltf_component_bytes(a->component);
-    packed->sizes[mesh->output_count - 1] = a->count * a->components * each;
-    packed->bytes += a->count * a->components * each;
+    const uint64_t bytes = a->count * a->components * each;
+    mesh->outputs[mesh->output_count++] = (struct gltf_draco_output){.indices = !key,
+                                                                     .id = key ? (uint32_t)id : 0,
+                                                                     .components = a->components,
+                                                                     .type = (uint32_t)a->component,
+                                                                     .bytes = bytes};
+    mesh->bytes += bytes;
     return add_view(item, source, accessor, each);
 }
 
@@ -193,29 +191,22 @@ int fmt_gltf_read_draco(const struct gltf_item *item, struct gltf_source *source
     BSQ_TRY(fmt_gltf_index(item, draco, "bufferView", "bufferViews", &view));
     if (view == GLTF_NONE || source->views[view].buffer == GLTF_NONE)
         return fmt_gltf_fail(item, "a compressed mesh without bufferView");
-    packed.draco.points = positions->count;
-    packed.draco.faces = indices->count / 3;
-    packed.draco.size = source->views[view].size;
-    BSQ_TRY(check_counts(item, &packed.draco));
+    packed.points = positions->count;
+    packed.faces = indices->count / 3;
+    packed.buffer = source->views[view].buffer;
+    packed.offset = source->views[view].offset;
+    packed.size = source->views[view].size;
+    BSQ_TRY(check_counts(item, &packed));
     for (int use = 0; use < GLTF_USE_COUNT; use++)
         BSQ_TRY(add_output(item, source, p->accessors[use], attributes, keys[use], &packed));
     if (source->views[indices->view].buffer == GLTF_NONE)
         p->mode = 4; /* strips too are compressed as single triangles */
-    packed.buffer = source->views[view].buffer;
-    packed.offset = source->views[view].offset;
-    status = packed.draco.output_count > 0 ? add_packed(item, source, &packed) : 0;
+    status = packed.output_count > 0 ? add_packed(item, source, &packed) : 0;
 done:
     return status;
 }
 
 /* ---- decoding ---- */
-
-/* Returns the bytes that Draco may need while it decodes: about twice what version 1.5.5 took for
- * meshes of a million triangles. */
-static uint64_t draco_bytes(const struct gltf_packed *packed)
-{
-    return 64 * packed->draco.faces + 64 * packed->draco.points + 2 * packed->bytes;
-}
 
 /* Processor time in seconds that decoding may take: LEAST_SECONDS for any file, and a second more
  * for each BYTES_A_SECOND of what comes out. */
@@ -225,16 +216,18 @@ enum { LEAST_SECONDS = 20, BYTES_A_SECOND = 1 << 20 };
 static int add_task(struct bsq_ctx *ctx, const struct gltf_source *source,
                     const struct gltf_packed *packed, struct bsq_file *input)
 {
-    const uint64_t size = packed->is_draco ? packed->draco.size : packed->meshopt.size;
+    /* What Draco may need while it decodes: about twice what version 1.5.5 took for meshes of a
+     * million triangles. */
+    const uint64_t draco = 64 * packed->faces + 64 * packed->points + 2 * packed->bytes;
+    const uint64_t needed = packed->bytes + (packed->is_draco ? draco : 0);
     uint8_t *bytes = NULL;
     int status;
-    BSQ_TRY(bsq_reserve(ctx, "decompression of a glTF file",
-                        packed->bytes + (packed->is_draco ? draco_bytes(packed) : 0)));
-    bsq_release(ctx, packed->bytes + (packed->is_draco ? draco_bytes(packed) : 0));
-    BSQ_TRY(bsq_alloc(ctx, "a compressed part of a glTF file", size, 1, &bytes));
-    BSQ_TRY(fmt_gltf_read_bytes(ctx, source, packed->buffer, packed->offset, bytes, size));
+    BSQ_TRY(bsq_reserve(ctx, "decompression of a glTF file", needed));
+    bsq_release(ctx, needed);
+    BSQ_TRY(bsq_alloc(ctx, "a compressed part of a glTF file", packed->size, 1, &bytes));
+    BSQ_TRY(fmt_gltf_read_bytes(ctx, source, packed->buffer, packed->offset, bytes, packed->size));
     BSQ_TRY(bsq_file_append(ctx, input, packed, sizeof *packed));
-    BSQ_TRY(bsq_file_append(ctx, input, bytes, size));
+    BSQ_TRY(bsq_file_append(ctx, input, bytes, packed->size));
 done:
     bsq_free(ctx, bytes);
     return status;

@@ -17,48 +17,36 @@ enum gltf_meshopt_filter {
     GLTF_MESHOPT_EXPONENTIAL
 };
 
-/* A buffer view of EXT_meshopt_compression. It becomes count * stride bytes at `to`. */
-struct gltf_meshopt {
-    const uint8_t *from;
-    uint64_t size, count;
-    uint32_t stride; /* that suits mode and filter: see fmt_gltf_meshopt_fits() */
-    enum gltf_meshopt_mode mode;
-    enum gltf_meshopt_filter filter;
-    uint8_t *to;
-};
-
-/* One attribute of a compressed mesh, or its indices. */
+/* One attribute of a mesh that Draco compressed, or its indices. */
 struct gltf_draco_output {
     bool indices;        /* uint32, three for each face */
     uint32_t id;         /* of the attribute in the compressed mesh */
     uint32_t components; /* of an element: 1 to 4 */
     uint32_t type;       /* of a component: 5120 int8, 5121 uint8, 5122 int16, 5123 uint16,
                             5125 uint32, 5126 float */
-    uint8_t *to;         /* elements follow each other */
-};
-
-/* A mesh of KHR_draco_mesh_compression. */
-struct gltf_draco {
-    const uint8_t *from;
-    uint64_t size;
-    uint64_t points, faces; /* that it must have */
-    struct gltf_draco_output outputs[5];
-    uint32_t output_count;
+    uint64_t bytes;      /* elements follow each other */
 };
 
 /* Compressed data: a view, or the accessors of a primitive. The program's input is struct
  * gltf_stamp, then for each of them this head and the compressed bytes. Its output is what they
  * become, one after the other; or, if its exit status is BSQ_EDATA, a text that says what is wrong.
- * Pointers have no meaning there. */
+ */
 struct gltf_packed {
     bool is_draco;
     uint32_t number; /* of the view or mesh, for messages */
     uint32_t buffer;
-    uint64_t offset; /* in the buffer */
-    uint64_t bytes;  /* when decoded */
-    struct gltf_meshopt meshopt;
-    struct gltf_draco draco;
-    uint64_t sizes[5]; /* bytes of Draco's outputs */
+    uint64_t offset, size; /* in the buffer */
+    uint64_t bytes;        /* when decoded */
+    /* A view of EXT_meshopt_compression becomes count * stride bytes. The stride suits mode and
+     * filter: see meshopt_fits(). */
+    uint64_t count;
+    uint32_t stride;
+    enum gltf_meshopt_mode mode;
+    enum gltf_meshopt_filter filter;
+    /* A mesh of KHR_draco_mesh_compression must have these counts. */
+    uint64_t points, faces;
+    struct gltf_draco_output outputs[5];
+    uint32_t output_count;
 };
 
 struct gltf_stamp {

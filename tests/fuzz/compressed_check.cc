@@ -7,12 +7,12 @@ int gltf_main(int argument_count, char **arguments);
 #include "formats/mesh/gltf_decode.cc"
 #undef main
 
-const char *decode_view(const struct gltf_meshopt *view)
+const char *decode_view(const struct gltf_packed *view, const uint8_t *from, uint8_t *to)
 {
-    return decode_meshopt(view);
+    return decode_meshopt(*view, from, to);
 }
 
-const char *decode_compressed_mesh(const struct gltf_draco *mesh)
+const char *decode_compressed_mesh(const struct gltf_packed *mesh, const uint8_t *from, uint8_t *to)
 {
-    return decode_draco(mesh);
+    return decode_draco(*mesh, from, to);
 }

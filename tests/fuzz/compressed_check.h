@@ -9,8 +9,9 @@ extern "C" {
 #endif
 
 /* Both return NULL, or what is wrong. */
-const char *decode_view(const struct gltf_meshopt *view);
-const char *decode_compressed_mesh(const struct gltf_draco *mesh);
+const char *decode_view(const struct gltf_packed *view, const uint8_t *from, uint8_t *to);
+const char *decode_compressed_mesh(const struct gltf_packed *mesh, const uint8_t *from,
+                                   uint8_t *to);
 
 #ifdef __cplusplus
 }
