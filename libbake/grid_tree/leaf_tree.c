@@ -1,6 +1,6 @@
 /* leaf_tree.c - builds the tree of boxes around the voxels of a grid.
  *
- * The leaves are listed in Morton order. Nodes are made from the root down: each has a range of
+ * The leaves are sorted in Morton order. Nodes are made from the root down: each has a range of
  * that list and divides it where the highest bit changes, until there are eight parts or only
  * single leaves. Boxes are then made from the last node up, since children follow their parents. */
 #include "libbake/grid_tree/leaf_tree.h"
@@ -15,6 +15,7 @@
 
 /* A leaf of the grid. */
 struct leaf {
+    uint64_t key;      /* of its place in Morton order (1966) */
     int32_t corner[3]; /* lowest voxel */
     uint32_t number;
 };
@@ -22,12 +23,6 @@ struct leaf {
 /* A part of the list of leaves. */
 struct range {
     uint64_t begin, end;
-};
-
-/* A lower node of the grid: 16^3 leaves. */
-struct lower_node {
-    int32_t corner[3];
-    uint32_t lower;
 };
 
 /* The state of a node while the tree is built, in its borders until make_boxes() fills these. */
@@ -38,14 +33,12 @@ struct pending {
 _Static_assert(sizeof(struct pending) <= sizeof((struct bake_tree_node *)0)->borders,
                "borders hold what is pending");
 
-/* Nodes, and lower nodes of the grid, that are handled between checks for an interruption. */
-enum { CHECKED = 4096, CHECKED_LOWERS = 64 };
+/* Nodes, and leaves of the grid, that are handled between checks for an interruption. */
+enum { CHECKED = 4096 };
 
 struct builder {
     struct bsq_ctx *ctx;
     const struct fmt_nvdb_grid *grid;
-    struct lower_node *lowers;
-    uint64_t lower_count;
     struct leaf *leaves;
     uint64_t leaf_count;
     struct bake_tree *tree;
@@ -55,199 +48,83 @@ struct box {
     int32_t low[3], high[3]; /* borders */
 };
 
-/* Returns the axis with the highest bit in which two corners differ; the first one if several
- * differ in that bit. It decides their Morton order (Chan, "A minimalist's implementation of an
- * approximate nearest neighbor algorithm", 2006). *bits: the XOR of the coordinates on that axis.
- */
-static int first_axis(const int32_t a[3], const int32_t b[3], uint32_t *bits)
-{
-    int axis = 0;
-    *bits = 0;
-    for (int i = 0; i < 3; i++) {
-        const uint32_t differ = (uint32_t)a[i] ^ (uint32_t)b[i];
-        if (*bits < differ && *bits < (*bits ^ differ)) {
-            *bits = differ;
-            axis = i;
-        }
-    }
-    return axis;
-}
-
-static int by_morton_order(const void *left, const void *right)
-{
-    const int32_t *a = ((const struct lower_node *)left)->corner;
-    const int32_t *b = ((const struct lower_node *)right)->corner;
-    uint32_t bits;
-    const int axis = first_axis(a, b, &bits);
-    return (a[axis] > b[axis]) - (a[axis] < b[axis]);
-}
-
-/* ---- nodes of the grid ---- */
-
-typedef int node_visit(void *arg, uint32_t lower, const int32_t origin[3]);
-
-/* Returns the number of child n of a node; its level's first node is `distance` bytes before that
- * of the children's level. */
-static uint32_t leaves_child_of(const uint64_t *words, uint64_t node_at, uint32_t mask,
-                                uint32_t table, uint32_t n, uint64_t distance, uint32_t child_words,
-                                uint32_t count)
-{
-    if (!(words[mask + (n >> 6)] >> (n & 63) & 1))
-        return BK_NONE;
-    const uint64_t number = (node_at + words[table + n] - distance) / (child_words * UINT64_C(8));
-    return number < count ? (uint32_t)number : BK_NONE;
-}
-
-static uint32_t upper_lower(const struct fmt_nvdb_grid *grid, uint32_t upper, uint32_t n)
-{
-    const uint64_t at = (uint64_t)upper * BK_UPPER_WORDS * 8;
-    return leaves_child_of((const uint64_t *)(const void *)(grid->uppers + at), at,
-                           BK_UPPER_CHILD_MASK, BK_UPPER_TABLE, n,
-                           (uint64_t)(grid->lowers - grid->uppers), BK_LOWER_WORDS,
-                           grid->lower_count);
-}
-
-/* Returns the number of a leaf of a lower node; BK_NONE if there is none, or if the grid has no
- * such leaf: the file may change while it is read. */
-static uint32_t lower_leaf(const struct fmt_nvdb_grid *grid, uint32_t lower, uint32_t n)
-{
-    const uint64_t at = (uint64_t)lower * BK_LOWER_WORDS * 8;
-    return leaves_child_of((const uint64_t *)(const void *)(grid->lowers + at), at,
-                           BK_LOWER_CHILD_MASK, BK_LOWER_TABLE, n,
-                           (uint64_t)(grid->leaves - grid->lowers), BK_LEAF_WORDS,
-                           grid->leaf_count);
-}
-
-static int visit_upper(const struct fmt_nvdb_grid *grid, uint32_t upper, const int32_t origin[3],
-                       node_visit *visit, void *arg)
-{
-    uint32_t first[3], last[3];
-    int status = 0;
-    for (int k = 0; k < 3; k++) {
-        const int64_t a = ((int64_t)grid->index_min[k] - origin[k]) >> BK_LOWER_LOG2;
-        const int64_t b = ((int64_t)grid->index_max[k] - origin[k]) >> BK_LOWER_LOG2;
-        first[k] = a < 0 ? 0 : (uint32_t)a;
-        last[k] = b > 31 ? 31 : (uint32_t)b;
-    }
-    for (uint32_t x = first[0]; x <= last[0]; x++)
-        for (uint32_t y = first[1]; y <= last[1]; y++)
-            for (uint32_t z = first[2]; status == 0 && z <= last[2]; z++) {
-                const uint32_t lower = upper_lower(grid, upper, x << 10 | y << 5 | z);
-                const int32_t at[3] = {origin[0] + (int32_t)(x << BK_LOWER_LOG2),
-                                       origin[1] + (int32_t)(y << BK_LOWER_LOG2),
-                                       origin[2] + (int32_t)(z << BK_LOWER_LOG2)};
-                status = lower == BK_NONE ? 0 : visit(arg, lower, at);
-            }
-    return status;
-}
-
-/* Returns the lowest voxel of a root tile along the axis whose key bits begin at `shift`. */
-static int32_t tile_origin(uint64_t key, uint32_t shift)
-{
-    const uint32_t bits = (uint32_t)(key >> shift) & 0xfffff; /* x >> 12 of a 32-bit x */
-    return (int32_t)(bits << BK_UPPER_LOG2);
-}
-
-/* Calls visit() for each lower node of a grid that overlaps its bounds. origin: the node's lowest
- * voxel. Returns the first result of visit() that is not 0, after which it stops. */
-static int leaves_visit_nodes(const struct fmt_nvdb_grid *grid, node_visit *visit, void *arg)
-{
-    const uint64_t *tiles = (const uint64_t *)(const void *)grid->tiles;
-    int status = 0;
-    for (uint32_t i = 0; status == 0 && i < grid->tile_count; i++) {
-        const uint64_t key = tiles[i * BK_TILE_WORDS], child = tiles[i * BK_TILE_WORDS + 1];
-        const uint64_t upper =
-            (child - (uint64_t)(grid->uppers - grid->root)) / (BK_UPPER_WORDS * UINT64_C(8));
-        const int32_t origin[3] = {tile_origin(key, 42), tile_origin(key, 21), tile_origin(key, 0)};
-        bool inside = child != 0 && upper < grid->upper_count;
-        for (int k = 0; k < 3; k++)
-            inside = inside && grid->index_max[k] >= origin[k] &&
-                     grid->index_min[k] <= (int64_t)origin[k] + (1 << BK_UPPER_LOG2) - 1;
-        if (inside)
-            status = visit_upper(grid, (uint32_t)upper, origin, visit, arg);
-    }
-    return status;
-}
-
 /* ---- the list of leaves ---- */
 
-static int add_lower(void *arg, uint32_t lower, const int32_t origin[3])
+/* Spreads the lowest 21 bits of a number to every third bit. */
+static uint64_t spread_bits(uint64_t v)
 {
-    struct builder *builder = arg;
-    if (builder->lower_count == builder->grid->lower_count)
-        return 0; /* the file is damaged */
-    builder->lowers[builder->lower_count++] =
-        (struct lower_node){{origin[0], origin[1], origin[2]}, lower};
-    return builder->lower_count % CHECKED_LOWERS ? 0 : bsq_check(builder->ctx);
+    v = (v | v << 32) & UINT64_C(0x001f00000000ffff);
+    v = (v | v << 16) & UINT64_C(0x001f0000ff0000ff);
+    v = (v | v << 8) & UINT64_C(0x100f00f00f00f00f);
+    v = (v | v << 4) & UINT64_C(0x10c30c30c30c30c3);
+    return (v | v << 2) & UINT64_C(0x1249249249249249);
 }
 
-static int list_lowers(struct builder *builder)
+static int by_key(const void *left, const void *right)
 {
-    int status = leaves_visit_nodes(builder->grid, add_lower, builder);
-    bsq_sort(builder->lowers, builder->lower_count, sizeof *builder->lowers, by_morton_order);
-    return status;
+    const uint64_t a = ((const struct leaf *)left)->key, b = ((const struct leaf *)right)->key;
+    return (a > b) - (a < b);
 }
 
-/* Returns every third of the lowest twelve bits. */
-static uint32_t third_bits(uint32_t code)
+/* Sets a leaf's corner and key. Returns whether it is within the grid's bounds. */
+static bool set_leaf(const struct fmt_nvdb_grid *grid, uint32_t number, struct leaf *leaf)
 {
-    return (code & 1) | (code >> 2 & 2) | (code >> 4 & 4) | (code >> 6 & 8);
+    bool inside = true;
+    *leaf = (struct leaf){.number = number};
+    memcpy(leaf->corner, grid->leaves + (uint64_t)number * BK_LEAF_WORDS * 8, sizeof leaf->corner);
+    for (int k = 0; k < 3; k++) {
+        /* Twice the extent, so that corners from here on have 20 bits above those of a leaf. */
+        const int32_t base = grid->index_min[k] & ~(2 * BAKE_TREE_EXTENT - 1);
+        leaf->corner[k] &= ~7;
+        inside &=
+            leaf->corner[k] + 7 >= grid->index_min[k] && leaf->corner[k] <= grid->index_max[k];
+        leaf->key |= spread_bits(((uint32_t)leaf->corner[k] - (uint32_t)base) >> BK_LEAF_LOG2)
+                     << (2 - k);
+    }
+    return inside;
 }
 
+/* Lists the leaves in Morton order, each place once: the file may change while it is read. */
 static int list_leaves(struct builder *builder)
 {
-    const struct fmt_nvdb_grid *grid = builder->grid;
-    for (uint64_t b = 0; b < builder->lower_count; b++) {
-        const struct lower_node *lower = &builder->lowers[b];
-        int status = b % CHECKED_LOWERS ? 0 : bsq_check(builder->ctx);
+    struct leaf *leaves = builder->leaves;
+    uint64_t count = 0;
+    for (uint32_t number = 0; number < builder->grid->leaf_count; number++) {
+        const int status = number % CHECKED ? 0 : bsq_check(builder->ctx);
         if (status < 0)
             return status;
-        if (b > 0 && by_morton_order(lower - 1, lower) == 0)
-            continue; /* the file is damaged */
-        for (uint32_t code = 0; code < 1u << 12; code++) {
-            const uint32_t x = third_bits(code >> 2), y = third_bits(code >> 1);
-            const uint32_t z = third_bits(code);
-            const uint32_t leaf = lower_leaf(grid, lower->lower, x << 8 | y << 4 | z);
-            if (leaf == BK_NONE)
-                continue;
-            if (builder->leaf_count == grid->leaf_count)
-                return 0; /* the file is damaged */
-            builder->leaves[builder->leaf_count++] =
-                (struct leaf){.corner = {lower->corner[0] + (int32_t)(x << BK_LEAF_LOG2),
-                                         lower->corner[1] + (int32_t)(y << BK_LEAF_LOG2),
-                                         lower->corner[2] + (int32_t)(z << BK_LEAF_LOG2)},
-                              .number = leaf};
-        }
+        count += set_leaf(builder->grid, number, &leaves[count]);
     }
+    bsq_sort(leaves, count, sizeof *leaves, by_key);
+    for (uint64_t i = 0; i < count; i++)
+        if (i == 0 || leaves[i - 1].key != leaves[i].key)
+            leaves[builder->leaf_count++] = leaves[i];
     return 0;
 }
 
 /* ---- nodes ---- */
 
-/* Returns the level at which a range of leaves splits: 3 * bit + 3 - axis of the highest bit in
- * which the first leaf and the last differ; 0 for a single leaf. *middle: the index of the first
+/* Returns the level at which a range of leaves splits: one more than the highest bit in which the
+ * keys of the first leaf and the last differ; 0 for a single leaf. *middle: the index of the first
  * leaf whose bit is that of the last. */
 static uint32_t leaves_split(const struct builder *builder, const struct range *range,
                              uint64_t *middle)
 {
     const struct leaf *leaves = builder->leaves;
     uint64_t low = range->begin, high = range->end - 1;
-    const int32_t *first = leaves[low].corner;
-    uint32_t bits;
-    const int axis = first_axis(first, leaves[high].corner, &bits);
+    const uint64_t first = leaves[low].key, bits = first ^ leaves[high].key;
     if (bits == 0)
         return 0;
-    const uint32_t bit = 31 - (uint32_t)__builtin_clz(bits);
-    const uint32_t same = ((uint32_t)first[axis] >> bit) & 1;
+    const uint32_t bit = 63 - (uint32_t)__builtin_clzll(bits);
     while (high - low > 1) {
         const uint64_t at = low + (high - low) / 2;
-        if (((uint32_t)leaves[at].corner[axis] >> bit & 1) == same)
-            low = at;
-        else
+        if ((leaves[at].key ^ first) >> bit & 1)
             high = at;
+        else
+            low = at;
     }
     *middle = high;
-    return 3 * bit + 3 - (uint32_t)axis;
+    return bit + 1;
 }
 
 /* Divides a range into at most eight parts, in order. Returns their number. */
@@ -463,27 +340,17 @@ done:
     return status;
 }
 
-/* Fails unless the leaves are within BAKE_TREE_EXTENT of each other, and few enough. */
-static int check_extent(const struct builder *builder)
+/* Fails for a grid that is wider than BAKE_TREE_EXTENT or has too many leaves. */
+static int check_extent(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {
-    struct box box = no_box;
-    bool fits = builder->leaf_count <= BAKE_TREE_MOST / 2;
-    for (uint64_t i = 0; i < builder->lower_count; i++) {
-        struct box block;
-        for (int axis = 0; axis < 3; axis++) {
-            block.low[axis] = builder->lowers[i].corner[axis];
-            block.high[axis] = block.low[axis] + (1 << BK_LOWER_LOG2);
-        }
-        leaves_join(&box, &block);
-    }
-    for (int axis = 0; axis < 3 && builder->lower_count > 0; axis++)
-        fits &= (int64_t)box.high[axis] - box.low[axis] <= BAKE_TREE_EXTENT;
+    bool fits = grid->leaf_count <= BAKE_TREE_MOST / 2;
+    for (int axis = 0; axis < 3; axis++)
+        fits &= (int64_t)grid->index_max[axis] - grid->index_min[axis] < BAKE_TREE_EXTENT;
     return fits ? 0
-                : bsq_fail(builder->ctx, BSQ_EDATA,
+                : bsq_fail(ctx, BSQ_EDATA,
                            "%s: rays from hits need a grid of at most %d voxels along each axis "
                            "and %u leaves",
-                           builder->grid->map.path, BAKE_TREE_EXTENT,
-                           (unsigned)(BAKE_TREE_MOST / 2));
+                           grid->map.path, BAKE_TREE_EXTENT, (unsigned)(BAKE_TREE_MOST / 2));
 }
 
 int bake_tree_build(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, struct bake_tree *tree)
@@ -492,17 +359,13 @@ int bake_tree_build(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, struc
     int status;
 
     *tree = (struct bake_tree){0};
-    BSQ_TRY(
-        bsq_alloc(ctx, "lower nodes", grid->lower_count, sizeof *builder.lowers, &builder.lowers));
+    BSQ_TRY(check_extent(ctx, grid));
     BSQ_TRY(bsq_alloc(ctx, "leaves", grid->leaf_count, sizeof *builder.leaves, &builder.leaves));
     BSQ_TRY(
         bsq_alloc(ctx, "blocks of leaves", grid->leaf_count, sizeof *tree->blocks, &tree->blocks));
-    BSQ_TRY(list_lowers(&builder));
     BSQ_TRY(list_leaves(&builder));
-    BSQ_TRY(check_extent(&builder));
     status = builder.leaf_count > 0 ? add_nodes(&builder) : add_empty_root(&builder);
 done:
-    bsq_free(ctx, builder.lowers);
     bsq_free(ctx, builder.leaves);
     if (status < 0)
         bake_tree_free(ctx, tree);
