@@ -11,7 +11,6 @@
 #include <string.h>
 #include <strings.h>
 
-#include "base/bytes.h"
 #include "base/file.h"
 #include "base/parallel.h"
 #include "base/text.h"
@@ -125,100 +124,6 @@ static int64_t file_size(exr_const_context_t file, void *user)
 static int refuse(const struct reader *reader, const char *why)
 {
     return bsq_fail(reader->stream.ctx, BSQ_EDATA, "%s: %s", reader->stream.path, why);
-}
-
-/* ---- the limits that a header must keep ----
- *
- * OpenEXR sorts channels and attributes, which for a small file with very many takes minutes, and
- * allocates what the header holds outside of the budget. So this walks over the header first, whose
- * layout is described at https://openexr.com/en/latest/OpenEXRFileLayout.html. */
-
-/* Renderers write up to some hundred channels and attributes, and previews of 100 KiB. */
-enum { MOST_ATTRIBUTES = 4096, MOST_CHANNELS = 16384, MOST_BYTES = 1 << 20 };
-enum { NAME_BYTES = 256, CHANNEL_BYTES = 16, MULTI_PART = 1 << 12 };
-
-struct walk {
-    struct bsq_ctx *ctx;
-    const struct bsq_file *file;
-    int status; /* of a failed read, or 0 */
-    uint64_t at;
-    uint32_t attributes, channels;
-    const char *excess; /* what is too much; NULL: nothing */
-};
-
-/* Reads up to `size` bytes. Returns their number. */
-static uint64_t exr_in_read_at(struct walk *walk, uint64_t offset, void *to, uint64_t size)
-{
-    uint64_t got = 0;
-    const int status = bsq_file_read_some(walk->ctx, walk->file, to, size, offset, &got);
-    walk->status = walk->status < 0 ? walk->status : status;
-    return status < 0 ? 0 : got;
-}
-
-/* Reads a name and moves behind the null byte at its end. Returns false if there is none. */
-static bool exr_in_read_name(struct walk *walk, char name[NAME_BYTES])
-{
-    const uint64_t got = exr_in_read_at(walk, walk->at, name, NAME_BYTES);
-    const char *end = memchr(name, '\0', got);
-    if (end)
-        walk->at += (uint64_t)(end - name) + 1;
-    return end != NULL;
-}
-
-/* Walks over a list of channels. Its length must be right, because some readers go by the names
- * alone. */
-static bool pass_channels(struct walk *walk, uint64_t end)
-{
-    char name[NAME_BYTES];
-    while (exr_in_read_name(walk, name) && name[0]) {
-        walk->at += CHANNEL_BYTES;
-        if (++walk->channels > MOST_CHANNELS) {
-            walk->excess = "the header has more than 16384 channels";
-            return false;
-        }
-    }
-    if (walk->at != end)
-        walk->excess = "the header's list of channels has a wrong length";
-    return walk->at == end;
-}
-
-/* Walks over an attribute after its name. Returns false if the walk ends. */
-static bool pass_attribute(struct walk *walk)
-{
-    char type[NAME_BYTES];
-    unsigned char size[4];
-    if (!exr_in_read_name(walk, type) || exr_in_read_at(walk, walk->at, size, 4) < 4)
-        return false;
-    const uint64_t end = walk->at + 4 + bsq_little(size, 4);
-    walk->at += 4;
-    if (++walk->attributes > MOST_ATTRIBUTES)
-        walk->excess = "the header has more than 4096 attributes";
-    else if (end > MOST_BYTES)
-        walk->excess = "the header has more than 1 MiB";
-    else if (strcmp(type, "chlist") == 0)
-        return pass_channels(walk, end);
-    walk->at = end;
-    return !walk->excess;
-}
-
-/* Refuses an excessive header. A file has one, or one for each part and an empty one at the end. If
- * it is none at all, OpenEXR says what is wrong with it. */
-static int exr_in_check_header(const struct reader *reader)
-{
-    struct walk walk = {.ctx = reader->stream.ctx, .file = reader->input, .at = 8};
-    unsigned char version[4] = {0};
-    char name[NAME_BYTES];
-    bool empty = true;
-    const bool found = exr_in_read_at(&walk, 4, version, 4) == 4;
-    const bool parts = bsq_little(version, 4) & MULTI_PART;
-    while (found && exr_in_read_name(&walk, name)) {
-        if (!name[0] && (!parts || empty))
-            break;
-        if (name[0] && !pass_attribute(&walk))
-            break;
-        empty = !name[0];
-    }
-    return walk.status < 0 || !walk.excess ? walk.status : refuse(reader, walk.excess);
 }
 
 /* ---- header ---- */
@@ -457,7 +362,7 @@ static int exr_in_read_header(struct reader *reader, bool by_rows)
     init.flags = EXR_CONTEXT_FLAG_DISABLE_CHUNK_RECONSTRUCTION;
     exr_compression_t packing;
     int status;
-    BSQ_TRY(exr_in_check_header(reader));
+    BSQ_TRY(fmt_exr_check_header(reader->stream.ctx, reader->stream.path, reader->input));
     BSQ_TRY(
         fmt_exr_status(&reader->stream, exr_start_read(&reader->file, reader->stream.path, &init)));
     BSQ_TRY(fmt_exr_status(&reader->stream, exr_get_compression(reader->file, 0, &packing)));

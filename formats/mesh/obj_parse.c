@@ -174,16 +174,11 @@ static const char *parse_numbers(struct parser *parser, const char *p, double *n
 static bool add_color(struct parser *parser, const double *rgb)
 {
     struct mesh_arrays *a = parser->arrays;
-    uint64_t vertex = a->count[FMT_MESH_VERTEX];
-    if (vertex >= a->color_capacity) {
-        parser->status = bsq_grow(parser->ctx, "OBJ colours", vertex + 256, sizeof *a->colors,
-                                  &a->colors, &a->color_capacity);
-        if (parser->status)
-            return false;
-    }
-    if (!a->has_colors)
-        for (uint64_t i = 0; i < vertex; i++)
-            a->colors[i][0] = a->colors[i][1] = a->colors[i][2] = -1;
+    const uint64_t vertex = a->count[FMT_MESH_VERTEX];
+    if (!RESERVE(parser, "OBJ colours", vertex, a->colors, a->color_capacity))
+        return false;
+    for (uint64_t i = 0; i < vertex && !a->has_colors; i++)
+        a->colors[i][0] = a->colors[i][1] = a->colors[i][2] = -1;
     a->has_colors = true;
     for (int i = 0; i < 3; i++)
         a->colors[vertex][i] = (float)rgb[i];

@@ -272,7 +272,7 @@ static bool read_vertex(struct cursor *c, const struct ply_element *element, uin
     const struct ply_property *p = c->source->header.properties + element->first_property;
     for (uint32_t i = 0; i < element->property_count; i++, p++) {
         const struct column *to = &c->columns[p->role];
-        double value;
+        double value = 0;
         if (!to->doubles && !to->floats ? !skip_property(c, p) : !read_real(c, p->type, &value))
             return false;
         if (to->doubles)

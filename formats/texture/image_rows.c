@@ -23,6 +23,11 @@ struct format {
     const char *name; /* for messages */
     const struct fmt_rows_decoder *decoder;
     const char *program, *plugin; /* if another program decodes it; OpenImageIO's name */
+    /* Its first bytes; or else the function tells. */
+    struct {
+        unsigned size;
+        const char *bytes;
+    } magics[4];
     bool (*recognise)(struct probe *probe);
 };
 
@@ -36,48 +41,7 @@ static void rows_read_at(struct probe *probe, uint64_t offset, uint8_t *to, uint
     probe->status = probe->status < 0 ? probe->status : status;
 }
 
-static bool begins(struct probe *probe, const char *magic, size_t size)
-{
-    return memcmp(probe->head, magic, size) == 0;
-}
-
 /* ---- formats ---- */
-
-static bool is_png(struct probe *probe)
-{
-    return begins(probe, "\x89PNG\r\n\x1a\n", 8);
-}
-
-static bool is_jpeg(struct probe *probe)
-{
-    return begins(probe, "\xff\xd8\xff", 3);
-}
-
-static bool is_tiff(struct probe *probe)
-{
-    return begins(probe, "II*\0", 4) || begins(probe, "MM\0*", 4) || begins(probe, "II+\0", 4) ||
-           begins(probe, "MM\0+", 4);
-}
-
-static bool is_exr(struct probe *probe)
-{
-    return begins(probe, "\x76\x2f\x31\x01", 4);
-}
-
-static bool is_jpeg2000(struct probe *probe)
-{
-    return begins(probe, "\0\0\0\x0cjP  \r\n\x87\n", 12) || begins(probe, "\xff\x4f\xff\x51", 4);
-}
-
-static bool is_bmp(struct probe *probe)
-{
-    return begins(probe, "BM", 2);
-}
-
-static bool is_hdr(struct probe *probe)
-{
-    return begins(probe, "#?RADIANCE", 10) || begins(probe, "#?RGBE", 6);
-}
 
 static bool is_pnm(struct probe *probe)
 {
@@ -88,7 +52,7 @@ static bool is_pnm(struct probe *probe)
 
 static bool is_webp(struct probe *probe)
 {
-    return begins(probe, "RIFF", 4) && memcmp(probe->head + 8, "WEBP", 4) == 0;
+    return memcmp(probe->head, "RIFF", 4) == 0 && memcmp(probe->head + 8, "WEBP", 4) == 0;
 }
 
 /* Only version 2 has a mark, at the file's end. The header of version 1 has few values that are
@@ -113,25 +77,44 @@ static const char no_format[] =
 static const char oiio[] = "bisque-texture";
 
 /* OpenEXR files that OpenEXR's C API cannot decode. */
-static const struct format dwa_format = {"OpenEXR", &fmt_program_rows, oiio, "openexr", is_exr};
+static const struct format dwa_format = {"OpenEXR", &fmt_program_rows, oiio, "openexr", {{0}},
+                                         NULL};
+
+static bool has_first_bytes(const struct format *format, struct probe *probe)
+{
+    bool any = format->recognise && format->recognise(probe);
+    for (int i = 0; i < 4 && format->magics[i].size > 0; i++)
+        any |= memcmp(probe->head, format->magics[i].bytes, format->magics[i].size) == 0;
+    return any;
+}
 
 /* Returns the format of a file, or NULL. */
 static const struct format *find_format(struct probe *probe)
 {
+#define OIIO &fmt_program_rows, oiio
     static const struct format formats[] = {
-        {"PNG", &fmt_png_rows, NULL, NULL, is_png},
-        {"JPEG", &fmt_jpeg_rows, NULL, NULL, is_jpeg},
-        {"TIFF", &fmt_program_rows, "bisque-tiff", "", is_tiff},
-        {"OpenEXR", &fmt_exr_texture_rows, NULL, NULL, is_exr},
-        {"JPEG 2000", &fmt_program_rows, oiio, "jpeg2000", is_jpeg2000},
-        {"WebP", &fmt_program_rows, oiio, "webp", is_webp},
-        {"BMP", &fmt_program_rows, oiio, "bmp", is_bmp},
-        {"Radiance HDR", &fmt_program_rows, oiio, "hdr", is_hdr},
-        {"PNM", &fmt_program_rows, oiio, "pnm", is_pnm},
-        {"TGA", &fmt_program_rows, oiio, "targa", is_targa}, /* matches loosely: last */
+        {"PNG", &fmt_png_rows, NULL, NULL, {{8, "\x89PNG\r\n\x1a\n"}}, NULL},
+        {"JPEG", &fmt_jpeg_rows, NULL, NULL, {{3, "\xff\xd8\xff"}}, NULL},
+        {"TIFF",
+         &fmt_program_rows,
+         "bisque-tiff",
+         "",
+         {{4, "II*\0"}, {4, "MM\0*"}, {4, "II+\0"}, {4, "MM\0+"}},
+         NULL},
+        {"OpenEXR", &fmt_exr_texture_rows, NULL, NULL, {{4, "\x76\x2f\x31\x01"}}, NULL},
+        {"JPEG 2000",
+         OIIO,
+         "jpeg2000",
+         {{12, "\0\0\0\x0cjP  \r\n\x87\n"}, {4, "\xff\x4f\xff\x51"}},
+         NULL},
+        {"WebP", OIIO, "webp", {{0}}, is_webp},
+        {"BMP", OIIO, "bmp", {{2, "BM"}}, NULL},
+        {"Radiance HDR", OIIO, "hdr", {{10, "#?RADIANCE"}, {6, "#?RGBE"}}, NULL},
+        {"PNM", OIIO, "pnm", {{0}}, is_pnm},
+        {"TGA", OIIO, "targa", {{0}}, is_targa}, /* matches loosely: last */
     };
     for (size_t i = 0; i < sizeof formats / sizeof *formats; i++)
-        if (formats[i].recognise(probe))
+        if (has_first_bytes(&formats[i], probe))
             return &formats[i];
     return NULL;
 }
