@@ -81,7 +81,7 @@ static bool read_real_word(struct cursor *c, double *out)
 {
     skip_blanks(c);
     const char *after = obj_real((const char *)c->at, out);
-    if (!after || at_line_end(c))
+    if (!after)
         return fail_word(c, "a number");
     c->at = (const uint8_t *)after;
     return true;
