@@ -35,16 +35,6 @@ static void put(struct shortener *s, const char *bytes, uint64_t count)
     s->size += count;
 }
 
-static void put_number(struct shortener *s, uint64_t value)
-{
-    char digits[20];
-    int count = 0;
-    do
-        digits[19 - count++] = (char)('0' + value % 10);
-    while ((value /= 10) > 0);
-    put(s, digits + 20 - count, (uint64_t)count);
-}
-
 /* Returns whether the string so far is the head of a base64 data URI. */
 static bool begins_data(const struct shortener *s)
 {
@@ -57,12 +47,12 @@ static bool begins_data(const struct shortener *s)
 
 static void end_data(struct shortener *s)
 {
+    char uri[48];
+    const int length =
+        snprintf(uri, sizeof uri, "data:#%" PRIu64 "+%" PRIu64, s->data_offset, s->data_size);
     s->in_data = false;
     s->size = s->string_start;
-    put(s, "data:#", 6);
-    put_number(s, s->data_offset);
-    put(s, "+", 1);
-    put_number(s, s->data_size);
+    put(s, uri, (uint64_t)length);
 }
 
 /* Takes the character at byte `at` of the file. */
@@ -389,7 +379,7 @@ int fmt_gltf_numbers(const struct gltf_item *item, const json_t *object, const c
             return fmt_gltf_fail(item, "\"%s\" is no list of %u numbers", key, count);
         out[i] = json_number_value(value);
     }
-    return 1;
+    return 0;
 }
 
 const char *fmt_gltf_string(const json_t *object, const char *key)

@@ -66,7 +66,7 @@ int fmt_gltf_index(const struct gltf_item *item, const json_t *object, const cha
                    const char *array, uint32_t *out);
 
 /* Reads a member that is an array of `count` finite numbers. If it is missing, `out` stays as it
- * is. Returns 1 if it was read. */
+ * is. */
 int fmt_gltf_numbers(const struct gltf_item *item, const json_t *object, const char *key,
                      unsigned count, double *out);
 

@@ -48,13 +48,11 @@ static int find_image(const struct gltf_item *item, struct gltf_source *source, 
         source->unread.packed_images += !path;
         return path ? bsq_extent_name(d->ctx, path, &extent, out) : 0;
     }
-    if (uri && fmt_gltf_find_data(uri, &extent.offset, &size) && !fmt_input_is_plain(d->input)) {
-        source->unread.packed_images++;
-        return 0;
-    }
     if (uri && fmt_gltf_find_data(uri, &extent.offset, &size)) {
-        status = fmt_gltf_measure_data(item, extent.offset, size, &extent.size);
-        return status ? status : bsq_extent_name(d->ctx, d->file.path, &extent, out);
+        const bool plain = fmt_input_is_plain(d->input);
+        source->unread.packed_images += !plain;
+        status = plain ? fmt_gltf_measure_data(item, extent.offset, size, &extent.size) : 0;
+        return status || !plain ? status : bsq_extent_name(d->ctx, d->file.path, &extent, out);
     }
     const char *beside = fmt_input_beside(d->input);
     const int found = uri ? fmt_gltf_uri_path(d->ctx, beside, uri, false, out, &exists) : 0;
@@ -103,19 +101,16 @@ static int find_texture(struct gltf_document *document, struct gltf_source *sour
  * counter-clockwise where v points downwards. */
 static int read_transform(const struct gltf_item *item, const json_t *transform, double out[2][3])
 {
-    double offset[2] = {0, 0}, scale[2] = {1, 1}, rotation = 0;
-    const json_t *angle = json_object_get(transform, "rotation");
+    double offset[2] = {0, 0}, scale[2] = {1, 1}, rotation;
     int status = fmt_gltf_numbers(item, transform, "offset", 2, offset);
-    if (status >= 0)
+    if (!status)
         status = fmt_gltf_numbers(item, transform, "scale", 2, scale);
-    if (status < 0)
-        return status;
-    rotation = json_number_value(angle);
+    rotation = json_number_value(json_object_get(transform, "rotation"));
     const double c = cos(rotation), s = sin(rotation);
     const double matrix[2][3] = {{c * scale[0], s * scale[1], offset[0]},
                                  {-s * scale[0], c * scale[1], offset[1]}};
     memcpy(out, matrix, sizeof matrix);
-    return 0;
+    return status;
 }
 
 /* Reads which texture coordinates a texture uses: the number of their set, and the matrix of
@@ -248,7 +243,7 @@ static int read_factor(const struct gltf_item *item, const json_t *object, const
             (float)(row->factor ? linear[k]
                                 : read_real(info, "scale", read_real(info, "strength", 1)));
     }
-    return status < 0 ? status : 0;
+    return status;
 }
 
 /* Reads the texture of a channel, or of the colour. `info` refers to it; NULL: none. Integers of
@@ -329,8 +324,8 @@ static int read_color(const struct gltf_item *item, const json_t *object, const 
     for (int k = 0; k < 3; k++)
         out->described.color.value[k] = (float)bsq_linear_to_srgb(rgba[k]);
     *alpha = rgba[3];
-    out->described.color.has_value = status > 0;
-    return status < 0 ? status : 0;
+    out->described.color.has_value = json_object_get(object, key) != NULL;
+    return status;
 }
 
 static int read_name(const struct gltf_item *item, char **out)

@@ -5,8 +5,6 @@
  * and memory does not grow with them. */
 #include <inttypes.h>
 #include <math.h>
-#include <stdarg.h>
-#include <stdio.h>
 #include <string.h>
 
 #include "base/channels.h"
@@ -187,18 +185,6 @@ struct parser {
     uint64_t first, count; /* vertices or triangles of the primitive */
     struct mesh_arrays *arrays;
 };
-
-__attribute__((format(printf, 2, 3))) static int fail_primitive(const struct parser *p,
-                                                                const char *format, ...)
-{
-    char text[120];
-    va_list arguments;
-    va_start(arguments, format);
-    vsnprintf(text, sizeof text, format, arguments);
-    va_end(arguments);
-    return fmt_stream_fail(p->slot, 0, "meshes[%" PRIu32 "], primitive %" PRIu32 ": %s",
-                           p->primitive->mesh, p->primitive->number, text);
-}
 
 /* Decodes an attribute of the part's vertices. */
 static int decode(const struct parser *p, enum gltf_use use, const double **out)
@@ -385,9 +371,11 @@ static int add_triangles(const struct parser *p, const struct window *w)
         find_corners(p, w, t, v);
         for (int i = 0; i < 3; i++)
             if (v[i] >= vertices)
-                return fail_primitive(
-                    p, "triangle %" PRIu64 " refers to vertex %" PRIu64 ", there are %" PRIu64, t,
-                    v[i], vertices);
+                return fmt_stream_fail(p->slot, 0,
+                                       "meshes[%" PRIu32 "], primitive %" PRIu32
+                                       ": triangle %" PRIu64 " refers to vertex %" PRIu64
+                                       ", there are %" PRIu64,
+                                       p->primitive->mesh, p->primitive->number, t, v[i], vertices);
         if (p->primitive->mode == 4 || (v[0] != v[1] && v[1] != v[2] && v[2] != v[0]))
             add_triangle(p, v, base);
     }

@@ -254,21 +254,16 @@ static void compose(const double t[3], const double rotation[4], const double s[
 static int read_transform(const struct gltf_item *item, double out[3][4])
 {
     double matrix[16], t[3] = {0, 0, 0}, q[4] = {0, 0, 0, 1}, s[3] = {1, 1, 1};
-    int found = fmt_gltf_numbers(item, item->object, "matrix", 16, matrix);
-    if (found > 0) { /* columns one after the other */
-        for (int i = 0; i < 3; i++)
-            for (int k = 0; k < 4; k++)
-                out[i][k] = matrix[4 * k + i];
-        return 0;
-    }
-    if (found == 0)
-        found = fmt_gltf_numbers(item, item->object, "translation", 3, t);
-    if (found >= 0)
-        found = fmt_gltf_numbers(item, item->object, "rotation", 4, q);
-    if (found >= 0)
-        found = fmt_gltf_numbers(item, item->object, "scale", 3, s);
+    int status;
+    BSQ_TRY(fmt_gltf_numbers(item, item->object, "matrix", 16, matrix));
+    BSQ_TRY(fmt_gltf_numbers(item, item->object, "translation", 3, t));
+    BSQ_TRY(fmt_gltf_numbers(item, item->object, "rotation", 4, q));
+    BSQ_TRY(fmt_gltf_numbers(item, item->object, "scale", 3, s));
     compose(t, q, s, out);
-    return found < 0 ? found : 0;
+    for (int i = 0; i < 12 && json_object_get(item->object, "matrix"); i++)
+        out[i / 4][i % 4] = matrix[4 * (i % 4) + i / 4]; /* columns one after the other */
+done:
+    return status;
 }
 
 bool fmt_invert_for_normals(const double m[3][4], double out[3][3])
@@ -347,16 +342,16 @@ static int add_placement(struct walk *w, const struct gltf_item *item, uint32_t 
     out->mirrored = fmt_invert_for_normals(matrix, out->normal_matrix);
     source->uneven_scale |= scales_unevenly(matrix);
     memcpy(out->base, source->total, sizeof out->base);
-    bool overflow = __builtin_add_overflow(source->triangles, m->triangles, &source->triangles) ||
-                    source->triangles > INT64_MAX;
-    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
-        overflow |=
-            __builtin_add_overflow(source->total[kind], m->total[kind], &source->total[kind]) ||
-            source->total[kind] > INT64_MAX;
     out->object_base = source->object_count;
-    overflow |= __builtin_add_overflow(source->object_count, m->count, &source->object_count);
     source->placement_count++;
-    return overflow ? fmt_gltf_fail(item, "too many elements") : copy_name(item, mesh, &out->name);
+    int status;
+    BSQ_TRY(add(item, &source->triangles, m->triangles));
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
+        BSQ_TRY(add(item, &source->total[kind], m->total[kind]));
+    BSQ_TRY(add(item, &source->object_count, m->count));
+    status = copy_name(item, mesh, &out->name);
+done:
+    return status;
 }
 
 static int place_mesh(struct walk *w, const struct gltf_item *item, const double matrix[3][4])

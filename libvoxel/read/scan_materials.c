@@ -273,42 +273,33 @@ static bool has_colored_material(const struct scan *scan)
     return any;
 }
 
-/* Makes an entry of the map white if it has no colour. *shared: a white entry of the table, which
- * is added when it is needed first; UINT32_MAX before. */
-static int whiten(struct scan *scan, uint32_t *entry, uint32_t *shared)
-{
-    static const float white[3] = {1.0f, 1.0f, 1.0f};
-    int status = 0;
-    if (*entry == UINT32_MAX && *shared == UINT32_MAX)
-        status = add_material(scan, NULL, white, true, by_name(scan) ? "" : NULL, shared);
-    if (*entry == UINT32_MAX) {
-        *entry = *shared;
-    } else if (scan->materials[*entry].colorless) {
-        memcpy(scan->materials[*entry].diffuse, white, sizeof white);
-        scan->materials[*entry].colorless = false;
-    }
-    return status;
-}
-
 /* Makes faces without a colour white if other faces have colours of materials. */
 static int whiten_colorless(struct scan *scan)
 {
-    uint32_t shared = UINT32_MAX;
+    static const float white[3] = {1.0f, 1.0f, 1.0f};
+    uint32_t shared = UINT32_MAX; /* an entry that is added when it is needed first */
     int status = 0;
     if (scan->has_colors || !has_colored_material(scan))
         return 0;
-    for (uint64_t i = 0; i <= scan->usemtl_count && status == 0; i++) {
+    for (uint64_t i = 0; i < 2 * ((uint64_t)scan->usemtl_count + 1); i++) {
         static const struct scan_material_use none = {0};
-        const struct scan_material_use *use = i == scan->usemtl_count ? &scan->without_material
-                                              : i < scan->material_use_count
-                                                  ? &scan->material_uses[i]
+        const struct scan_material_use *use = i / 2 == scan->usemtl_count ? &scan->without_material
+                                              : i / 2 < scan->material_use_count
+                                                  ? &scan->material_uses[i / 2]
                                                   : &none;
-        uint32_t *map = &scan->material_map[2 * i];
-        if (use->faces > 0)
-            status = whiten(scan, &map[0], &shared);
-        if (status == 0 && use->bare_faces > 0)
-            status = whiten(scan, &map[1], &shared);
+        uint32_t *entry = &scan->material_map[i];
+        if ((i % 2 == 0 ? use->faces : use->bare_faces) == 0)
+            continue;
+        if (*entry == UINT32_MAX && shared == UINT32_MAX)
+            BSQ_TRY(add_material(scan, NULL, white, true, by_name(scan) ? "" : NULL, &shared));
+        if (*entry == UINT32_MAX)
+            *entry = shared;
+        struct fmt_tris_material *material = &scan->materials[*entry];
+        if (material->colorless)
+            memcpy(material->diffuse, white, sizeof white);
+        material->colorless = false;
     }
+done:
     return status;
 }
 
