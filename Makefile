@@ -90,8 +90,8 @@ shared   := $(BUILD)/lib/libbisque.so.0
 
 # The stamp holds the version and a checksum of the headers that helpers share with the programs.
 program_stamp  := formats/program/stamp.c
-shared_headers := $(addprefix base/,version.h context.h file.h file_extent.h output.h parallel.h) \
-    $(addprefix formats/,program/program.h mesh/gltf_task.h mesh/scene_file.h texture/image_rows.h \
+shared_headers := $(addprefix base/,version.h context.h file.h output.h parallel.h) \
+    $(addprefix formats/,material/file_extent.h program/program.h mesh/gltf_task.h mesh/scene_file.h texture/image_rows.h \
     grid/nvdb.h grid/nvdb_layout_internal.h grid/vdb_program.h)
 directory_cppflags = -DFMT_PROGRAM_DIRECTORY='"$(prefix)/lib/bisque"'
 stamp_cppflags = \

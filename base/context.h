@@ -99,11 +99,6 @@ void bsq_forget_files(struct bsq_ctx *ctx);
 int bsq_note_input(struct bsq_ctx *ctx, const char *path, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
 
-/** Notes the file of a texture as bsq_note_input() does, or the files of all UDIM tiles if the path
- * has "<UDIM>" or "<UVTILE>". */
-int bsq_note_texture(struct bsq_ctx *ctx, const char *path, const char *format, ...)
-    __attribute__((format(printf, 3, 4)));
-
 /** Checks before the work that an output can be created and that it is none of the inputs that are
  * noted so far. Errors: BSQ_ECANTCREAT if the directory is missing or not writable, or if the name
  * belongs to something that a regular file cannot replace, or is "-"; BSQ_EUSAGE if the job reads

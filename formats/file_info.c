@@ -10,10 +10,10 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "base/text.h"
-#include "base/file_extent.h"
-#include "base/tile_files.h"
+#include "formats/material/file_extent.h"
+#include "formats/material/tile_files.h"
 #include "formats/chunks/tris.h"
 #include "formats/file_kind.h"
 #include "formats/grid/nvdb.h"
@@ -123,8 +123,8 @@ static int survey_batch(void *arg, const struct fmt_mesh_batch *batch)
 /* Returns whether a texture can be found. */
 static bool file_info_is_there(const char *path)
 {
-    struct bsq_extent extent;
-    return bsq_extent_parse(path, &extent) > 0 || bsq_has_tiles(path) || access(path, R_OK) == 0;
+    struct fmt_extent extent;
+    return fmt_extent_parse(path, &extent) > 0 || fmt_has_tiles(path) || access(path, R_OK) == 0;
 }
 
 static json_t *texture_json(const char *path)
@@ -293,7 +293,7 @@ static int describe_tris(struct bsq_ctx *ctx, const char *path, json_t **out)
                      "normals", (int)!!(h->attributes & FMT_TRIS_NORMALS), "texture_coordinates",
                      (int)!!(h->attributes & FMT_TRIS_TEXCOORDS), "vertex_colors",
                      (int)!!(h->attributes & FMT_TRIS_COLORS), "color", (int)fmt_tris_has_color(h),
-                     "ids", h->ids == BSQ_IDS_NONE ? NULL : bsq_ids_text(h->ids), "materials",
+                     "ids", h->ids == FMT_IDS_NONE ? NULL : fmt_ids_text(h->ids), "materials",
                      (json_int_t)h->material_count, "channels", channels, "textures",
                      textures_json(h));
     fmt_tris_close(file);
@@ -311,7 +311,7 @@ static int describe_grid(struct bsq_ctx *ctx, const char *path, json_t **out)
     json_t *channels = json_array();
     if (grid.channel_list)
         status =
-            bsq_channel_list_split(ctx, grid.channel_list, grid.channel_list_bytes, &names, &count);
+            fmt_channel_list_split(ctx, grid.channel_list, grid.channel_list_bytes, &names, &count);
     for (uint32_t c = 0; c < count; c++)
         add_once(channels, names[c]);
     *out = json_pack(
@@ -323,7 +323,7 @@ static int describe_grid(struct bsq_ctx *ctx, const char *path, json_t **out)
         grid.index_max[0], grid.index_max[1], grid.index_max[2], "voxels",
         (json_int_t)grid.voxel_count, "source_triangles", (json_int_t)grid.info.source_triangles,
         "color", (int)grid.info.has_color, "ids",
-        grid.info.ids == BSQ_IDS_NONE ? NULL : bsq_ids_text(grid.info.ids), "channels", channels);
+        grid.info.ids == FMT_IDS_NONE ? NULL : fmt_ids_text(grid.info.ids), "channels", channels);
     bsq_free(ctx, names);
     fmt_nvdb_close(ctx, &grid);
     return status;

@@ -3,7 +3,7 @@
  * Reading keeps vertices as attribute streams (read/) and partitions triangles into buckets by
  * place (partition/). Batches of buckets are sorted, cut into chunks and written (chunk/). Every
  * step streams, and what does not fit in memory goes to temporary files. */
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "base/context.h"
 #include "base/job_files.h"
 #include "libvoxel/chunk/chunk_writer.h"
@@ -75,7 +75,7 @@ static int read_batches(struct scan *scan, struct fmt_mesh_reader *reader,
     BSQ_TRY(status);
     BSQ_TRY(vox_scan_finish(scan, reader));
     BSQ_TRY(vox_scan_find_materials(scan, reader, options->texture_path, textures,
-                                    (enum bsq_ids)options->ids));
+                                    (enum fmt_ids)options->ids));
     BSQ_TRY(vox_scan_compare_files(scan, options->texture_path));
     vox_tuple_layout_for(scan, &out->layout);
 done:
@@ -158,9 +158,9 @@ static void report_scan(const struct scan *scan, const struct vox_sort_options *
             !scan->materials[i].texture_path && !scan->materials[i].colorless;
     for (uint32_t c = 0; c < scan->channel_count; c++)
         sort_add_name(report->kept_channels, scan->channels[c].name);
-    for (unsigned i = 0; bsq_channel_at(i); i++)
+    for (unsigned i = 0; fmt_channel_at(i); i++)
         if (scan->unkept >> i & 1)
-            sort_add_name(report->unkept_channels, bsq_channel_at(i)->name);
+            sort_add_name(report->unkept_channels, fmt_channel_at(i)->name);
 }
 
 static int read_scan(struct scan *scan, const struct sort_limits *limits,
@@ -230,9 +230,9 @@ static int fail_without_area(const struct scan *scan, uint64_t triangles)
                     scan->paths[0], (unsigned long long)triangles);
 }
 
-_Static_assert((int)VOX_IDS_MATERIAL == (int)BSQ_IDS_MATERIAL &&
-                   (int)VOX_IDS_OBJECT == (int)BSQ_IDS_OBJECT &&
-                   (int)VOX_IDS_COLOR == (int)BSQ_IDS_COLOR,
+_Static_assert((int)VOX_IDS_MATERIAL == (int)FMT_IDS_MATERIAL &&
+                   (int)VOX_IDS_OBJECT == (int)FMT_IDS_OBJECT &&
+                   (int)VOX_IDS_COLOR == (int)FMT_IDS_COLOR,
                "both have one order");
 
 static int write_chunks(const struct scan *scan, const struct partition *partition,
@@ -292,12 +292,12 @@ static int sort_check_channels(struct bsq_ctx *ctx, const struct vox_sort_option
 {
     for (uint32_t i = 0; i < options->channel_count; i++) {
         const char *name = options->channels[i].name;
-        if (!bsq_is_channel_name(name))
+        if (!fmt_is_channel_name(name))
             return bsq_fail(ctx, BSQ_EUSAGE,
                             "\"%s\" cannot be a channel: names have lower-case letters, digits and "
                             "_, with a letter first",
                             name);
-        if (bsq_is_map_name(name))
+        if (fmt_is_map_name(name))
             return bsq_fail(ctx, BSQ_EUSAGE, "channel %s: there is a map of this name", name);
         for (uint32_t j = 0; j < i; j++)
             if (strcmp(options->channels[j].name, name) == 0)

@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "formats/material/tile_files.h"
 #include "tools/voxelize_report.h"
 
 /* ---- checks before the work: what would otherwise fail after hours ---- */
@@ -27,12 +28,12 @@ static int note_images(struct bsq_ctx *ctx, const struct voxelize_arguments *arg
     const struct vox_sort_options *sort = &arguments->sort;
     int status = 0;
     if (sort->texture_path)
-        BSQ_TRY(bsq_note_texture(ctx, sort->texture_path, "the texture"));
+        BSQ_TRY(fmt_note_texture(ctx, sort->texture_path, "the texture"));
     if (arguments->grid.scan_normal_map)
-        BSQ_TRY(bsq_note_texture(ctx, arguments->grid.scan_normal_map, "the scan's normal map"));
+        BSQ_TRY(fmt_note_texture(ctx, arguments->grid.scan_normal_map, "the scan's normal map"));
     for (uint32_t i = 0; i < sort->channel_count; i++)
         if (sort->channels[i].texture_path)
-            BSQ_TRY(bsq_note_texture(ctx, sort->channels[i].texture_path, "the texture %s",
+            BSQ_TRY(fmt_note_texture(ctx, sort->channels[i].texture_path, "the texture %s",
                                      sort->channels[i].name));
 done:
     return status;

@@ -1,7 +1,7 @@
 /* voxelize_arguments.c - see voxelize_arguments.h. */
 #include "tools/voxelize_arguments.h"
 
-#include "base/channels.h"
+#include "formats/material/channels.h"
 
 #include <float.h>
 #include <math.h>
@@ -215,18 +215,18 @@ static int parse_channel(struct cli *cli, struct voxelize_arguments *arguments, 
                               false) < 0)
         return BSQ_EUSAGE;
     const char *name = arguments->channels[arguments->sort.channel_count - 1].name;
-    if (!bsq_is_channel_name(name))
+    if (!fmt_is_channel_name(name))
         return cli_usage(cli, "--channels: \"%s\" is not a channel", word);
-    if (bsq_is_map_name(name))
+    if (fmt_is_map_name(name))
         return cli_usage(cli, "--channels: \"%s\": there is a map of this name", word);
     if (equals && equals[1] == '\0')
         return cli_usage(cli, "--channels: \"%s\" names no file", word);
-    return strcmp(name, BSQ_CHANNEL_NORMAL_MAP) == 0 ? 0 : add_to_list(cli, arguments, name);
+    return strcmp(name, FMT_CHANNEL_NORMAL_MAP) == 0 ? 0 : add_to_list(cli, arguments, name);
 }
 
 static bool keeps_normal_map(const struct voxelize_arguments *arguments)
 {
-    return has_channel(arguments, BSQ_CHANNEL_NORMAL_MAP);
+    return has_channel(arguments, FMT_CHANNEL_NORMAL_MAP);
 }
 
 static int scan_args_take_option(struct cli *cli, void *arg, const struct bsq_option *row,
@@ -253,11 +253,11 @@ static int scan_args_take_option(struct cli *cli, void *arg, const struct bsq_op
 
 int voxelize_arguments_add_channels(struct cli *cli, struct voxelize_arguments *arguments)
 {
-    static const char name[] = BSQ_CHANNEL_NORMAL_MAP;
+    static const char name[] = FMT_CHANNEL_NORMAL_MAP;
     const char *path = arguments->grid.scan_normal_map;
     int status = path ? scan_args_add_channel(cli, arguments, name, strlen(name), path, false) : 0;
-    for (unsigned i = 0; arguments->all_channels && bsq_channel_at(i) && status == 0; i++) {
-        const char *any = bsq_channel_at(i)->name;
+    for (unsigned i = 0; arguments->all_channels && fmt_channel_at(i) && status == 0; i++) {
+        const char *any = fmt_channel_at(i)->name;
         if (!has_channel(arguments, any))
             status = scan_args_add_channel(cli, arguments, any, strlen(any), NULL, true);
     }
@@ -289,7 +289,7 @@ static int scan_args_check(struct cli *cli, const struct voxelize_arguments *arg
     if (cli_is_given(&table, "id") && !arguments->grid.ids)
         return cli_usage(cli, "--id needs --channels id");
     if (arguments->grid.scan_normal_map && keeps_normal_map(arguments))
-        return cli_usage(cli, "--scan-normal-map and --channels " BSQ_CHANNEL_NORMAL_MAP
+        return cli_usage(cli, "--scan-normal-map and --channels " FMT_CHANNEL_NORMAL_MAP
                               " exclude each other");
     if (arguments->sort_only && given_option(arguments, GRID))
         return cli_usage(cli, "%s: a chunk file is not a grid: leave out --%s", output,
@@ -317,7 +317,7 @@ int voxelize_arguments_check_part(struct cli *cli, const struct voxelize_argumen
                          option ? "--" : "", option ? option : "the images of --channels");
     if (!beside_meshes && keeps_normal_map(arguments))
         return cli_usage(cli,
-                         "%s is already a chunk file: leave out the channel " BSQ_CHANNEL_NORMAL_MAP
+                         "%s is already a chunk file: leave out the channel " FMT_CHANNEL_NORMAL_MAP
                          ", because its normals contain it if it has one",
                          part);
     if (beside_meshes && !arguments->tris &&

@@ -6,7 +6,7 @@
 #ifndef FMT_CHUNKS_TRIS_H
 #define FMT_CHUNKS_TRIS_H
 
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "base/output.h"
 
 enum fmt_tris_attribute {
@@ -30,15 +30,15 @@ enum fmt_tris_attribute {
 struct fmt_tris_source {
     char *texture_path; /* absolute, or NULL: the value is used */
     /* Of colours, linear light; a single value three times. It is the factor of a texture, see
-     * struct bsq_channel, but for BSQ_CHANNEL_CUTOUT. */
+     * struct fmt_channel, but for FMT_CHANNEL_CUTOUT. */
     float value[3];
-    uint32_t component; /* of the texture, see BSQ_CHANNEL_ALPHA, for channels with one value */
-    struct bsq_uv uv;
+    uint32_t component; /* of the texture, see FMT_CHANNEL_ALPHA, for channels with one value */
+    struct fmt_uv uv;
 };
 
 struct fmt_tris_material {
     char *texture_path;              /* absolute, or NULL */
-    struct bsq_uv uv;                /* of this texture */
+    struct fmt_uv uv;                /* of this texture */
     struct fmt_tris_source *sources; /* one for each channel of the header; NULL: there are none */
     float diffuse[3];                /* sRGB 0...1; used if there is no texture */
     bool colorless;                  /* `diffuse` is no colour of the scan */
@@ -57,9 +57,9 @@ struct fmt_tris_header {
     uint32_t material_count;
     struct fmt_tris_material *materials;
     /* By name: that of a triangle's material, or "" without one. By colour: of the vertices. */
-    enum bsq_ids ids;
+    enum fmt_ids ids;
     uint32_t channel_count;
-    char **channels;    /* names, see base/channels.h */
+    char **channels;    /* names, see formats/material/channels.h */
     bool embeds_images; /* for a writer: copy those images of textures that are single files */
 };
 

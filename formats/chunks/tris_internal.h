@@ -33,7 +33,7 @@ struct tris_file_header {
     uint64_t file_bytes;
     uint32_t material_count;
     uint32_t channel_count;
-    uint32_t ids; /* enum bsq_ids */
+    uint32_t ids; /* enum fmt_ids */
     uint32_t reserved;
     uint64_t images_checksum; /* of the bytes from the header's end to chunks_offset */
     uint64_t materials_checksum;
@@ -58,7 +58,7 @@ static inline uint64_t tris_material_bytes(uint32_t channels)
     return sizeof(struct tris_source_entry) * (channels + UINT64_C(1)) + sizeof(uint32_t);
 }
 
-/* Flags of a material. From bit TRIS_WRAP_SHIFT on, `bits` says how the image wraps: enum bsq_wrap
+/* Flags of a material. From bit TRIS_WRAP_SHIFT on, `bits` says how the image wraps: enum fmt_wrap
  * of u and v, in two bits each; then a bit if it is sRGB. */
 enum { TRIS_COLORLESS = 1, TRIS_TINTED = 2, TRIS_WRAP_SHIFT = 8 };
 

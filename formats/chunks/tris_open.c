@@ -3,11 +3,11 @@
  * Nothing in the file is trusted. Lengths are compared with the file's size before memory is
  * allocated, parts must follow each other without gaps, and a checksum covers each byte. */
 #include "formats/chunks/tris_internal.h"
-#include "base/channels.h"
-#include "base/file_extent.h"
+#include "formats/material/channels.h"
+#include "formats/material/file_extent.h"
 #include "base/job_files.h"
 #include "base/path_map.h"
-#include "base/tile_files.h"
+#include "formats/material/tile_files.h"
 
 #include <inttypes.h>
 #include <math.h>
@@ -84,7 +84,7 @@ static int tris_check_header(const struct fmt_tris_file *file, const struct tris
                         file->file.path, file->file.size, h->file_bytes);
     if ((h->attributes & ~TRIS_ATTRIBUTES) != 0 || h->reserved != 0)
         return fmt_tris_damaged(file, "unknown attributes");
-    if (h->ids > BSQ_IDS_COLOR)
+    if (h->ids > FMT_IDS_COLOR)
         return fmt_tris_damaged(file, "unknown ids");
     return check_parts(file, h);
 }
@@ -98,7 +98,7 @@ static void copy_header(struct fmt_tris_file *file, const struct tris_file_heade
     to->source_faces = h->source_faces;
     to->skipped_triangles = h->skipped_triangles;
     to->material_count = h->material_count;
-    to->ids = (enum bsq_ids)h->ids;
+    to->ids = (enum fmt_ids)h->ids;
     memcpy(to->origin, h->origin, sizeof to->origin);
     memcpy(to->bounds_min, h->bounds_min, sizeof to->bounds_min);
     memcpy(to->bounds_max, h->bounds_max, sizeof to->bounds_max);
@@ -125,12 +125,12 @@ done:
 /* Notes a texture among the job's inputs; for an extent of a file, that file. */
 static int note_texture(const struct fmt_tris_file *file, char *path)
 {
-    struct bsq_extent extent;
-    const size_t length = bsq_extent_parse(path, &extent);
+    struct fmt_extent extent;
+    const size_t length = fmt_extent_parse(path, &extent);
     const char mark = path[length];
     if (length > 0)
         path[length] = '\0';
-    int status = bsq_note_texture(file->ctx, path, "the texture that %s names", file->file.path);
+    int status = fmt_note_texture(file->ctx, path, "the texture that %s names", file->file.path);
     if (length > 0)
         path[length] = mark;
     return status;
@@ -168,7 +168,7 @@ static bool take_text(struct cursor *cursor, uint32_t length, char **out)
 static int name_image(struct fmt_tris_file *file, const char *range, char **out)
 {
     const uint64_t size = strlen(file->file.path) + strlen(range) + 1;
-    struct bsq_extent extent;
+    struct fmt_extent extent;
     char *name = NULL;
     int status;
     BSQ_TRY(bsq_grow(file->ctx, "images", file->image_count + 1, sizeof *file->images,
@@ -176,7 +176,7 @@ static int name_image(struct fmt_tris_file *file, const char *range, char **out)
     BSQ_TRY(bsq_alloc(file->ctx, "images", size, 1, &name));
     snprintf(name, size, "%s%s", file->file.path, range);
     file->images[file->image_count++] = *out = name;
-    if (bsq_extent_parse(name, &extent) == 0 || extent.base64 ||
+    if (fmt_extent_parse(name, &extent) == 0 || extent.base64 ||
         extent.offset < sizeof(struct tris_file_header) || extent.size > file->chunks_offset ||
         extent.offset > file->chunks_offset - extent.size)
         return fmt_tris_damaged(file, "an image is not in the file");
@@ -203,14 +203,14 @@ static int parse_path(struct fmt_tris_file *file, struct cursor *cursor, uint32_
 
 /* Takes how an image wraps, and whether it is sRGB, out of the bits of a source. Returns false if
  * there are unknown bits. */
-static bool take_wrap(uint32_t *bits, struct bsq_uv *out)
+static bool take_wrap(uint32_t *bits, struct fmt_uv *out)
 {
     const uint32_t wraps = *bits >> TRIS_WRAP_SHIFT;
     *bits &= (1u << TRIS_WRAP_SHIFT) - 1;
     out->wrap[0] = wraps & 3;
     out->wrap[1] = wraps >> 2 & 3;
     out->srgb = wraps >> 4 & 1;
-    return wraps < 32 && out->wrap[0] < BSQ_WRAPS && out->wrap[1] < BSQ_WRAPS;
+    return wraps < 32 && out->wrap[0] < FMT_WRAPS && out->wrap[1] < FMT_WRAPS;
 }
 
 static bool tris_all_finite(const float *values, int count)
@@ -267,7 +267,7 @@ static int parse_material(struct fmt_tris_file *file, struct cursor *cursor,
         return fmt_tris_damaged(file, "a material's name is cut off");
     m->sources = count > 0 ? file->sources + (m - file->header.materials) * (ptrdiff_t)count : NULL;
     for (uint32_t c = 0; c < count && status == 0; c++)
-        status = parse_source(file, cursor, BSQ_CHANNEL_COMPONENTS - 1, &m->sources[c]);
+        status = parse_source(file, cursor, FMT_CHANNEL_COMPONENTS - 1, &m->sources[c]);
 done:
     return status;
 }
@@ -279,7 +279,7 @@ static int parse_channels(struct fmt_tris_file *file, uint32_t count, struct cur
     int status = bsq_calloc(file->ctx, "channels", count + UINT64_C(1), sizeof *header->channels,
                             &header->channels);
     for (char *name; header->channel_count < count && status == 0;) {
-        if (!take_name(cursor, &name) || !bsq_is_channel_name(name) ||
+        if (!take_name(cursor, &name) || !fmt_is_channel_name(name) ||
             fmt_tris_find_channel(header, name) != UINT32_MAX)
             return fmt_tris_damaged(file, "the name of a channel is none");
         header->channels[header->channel_count++] = name;

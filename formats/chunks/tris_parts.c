@@ -11,12 +11,12 @@
 #include <errno.h>
 #include <math.h>
 
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "base/job_files.h"
 #include "base/context.h"
 #include "base/sort_array.h"
 
-static const char normal_map[] = BSQ_CHANNEL_NORMAL_MAP;
+static const char normal_map[] = FMT_CHANNEL_NORMAL_MAP;
 
 /* ---- opening ---- */
 
@@ -256,27 +256,27 @@ static void begin_header(struct fmt_tris_file *all)
         const struct fmt_tris_header *part = &all->parts[i].file->header;
         all->header.attributes |= part->attributes;
         if (part->ids != all->parts[0].file->header.ids)
-            all->header.ids = BSQ_IDS_NONE;
+            all->header.ids = FMT_IDS_NONE;
     }
 }
 
 int fmt_tris_require_ids(const struct fmt_tris_file *file)
 {
-    if (file->header.ids != BSQ_IDS_NONE)
+    if (file->header.ids != FMT_IDS_NONE)
         return 0;
     if (file->part_count == 0)
         return fail_without(file->ctx, file->file.path, "id");
     const struct fmt_tris_file *first = file->parts[0].file, *other = first;
     for (uint32_t i = 0; i < file->part_count; i++) {
         const struct fmt_tris_file *part = file->parts[i].file;
-        if (part->header.ids == BSQ_IDS_NONE)
+        if (part->header.ids == FMT_IDS_NONE)
             return fail_without(file->ctx, part->file.path, "id");
         if (part->header.ids != first->header.ids)
             other = part;
     }
     return bsq_fail(file->ctx, BSQ_EDATA, "%s has ids by %s, %s by %s: make both with one --id",
-                    first->file.path, bsq_ids_text(first->header.ids), other->file.path,
-                    bsq_ids_text(other->header.ids));
+                    first->file.path, fmt_ids_text(first->header.ids), other->file.path,
+                    fmt_ids_text(other->header.ids));
 }
 
 static int parts_join(struct fmt_tris_file *all)
@@ -306,7 +306,7 @@ done:
 int fmt_tris_can_join(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count, bool *one)
 {
     bool normals = false, colors = false;
-    enum bsq_ids ids = BSQ_IDS_NONE;
+    enum fmt_ids ids = FMT_IDS_NONE;
     int status = 0;
     *one = true;
     for (uint32_t i = 0; i < path_count && status == 0 && *one; i++) {

@@ -6,11 +6,11 @@
  *
  * The chunks determine the header's counts and bounds, so the header is known only at the end.
  * Until then its place holds zeros, which no reader accepts. */
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "formats/chunks/tris_internal.h"
 
-#include "base/file_extent.h"
-#include "base/tile_files.h"
+#include "formats/material/file_extent.h"
+#include "formats/material/tile_files.h"
 
 #include <inttypes.h>
 #include <math.h>
@@ -24,7 +24,7 @@ const struct tris_attribute fmt_tris_attributes[TRIS_ATTRIBUTE_COUNT] = {
     {FMT_TRIS_SAMPLES, 0, false, 0, offsetof(struct fmt_tris_chunk, samples)},
 };
 
-static uint32_t wrap_bits(const struct bsq_uv *uv)
+static uint32_t wrap_bits(const struct fmt_uv *uv)
 {
     return (uint32_t)(uv->wrap[0] | uv->wrap[1] << 2 | uv->srgb << 4) << TRIS_WRAP_SHIFT;
 }
@@ -177,24 +177,24 @@ static int embed(struct fmt_tris_writer *writer, const char *path, XXH3_state_t 
 {
     static const uint8_t zeros[8];
     uint8_t buffer[16384];
-    struct bsq_extent from, to = {.offset = bsq_output_tell(writer->output)};
+    struct fmt_extent from, to = {.offset = bsq_output_tell(writer->output)};
     struct bsq_file file = BSQ_FILE_CLOSED;
     int status = 0;
-    if (!path || bsq_has_tiles(path) || tris_find_image(writer, path))
+    if (!path || fmt_has_tiles(path) || tris_find_image(writer, path))
         return 0;
     BSQ_TRY(bsq_grow(writer->ctx, "images", writer->image_count + 1, sizeof *writer->images,
                      &writer->images, &writer->image_capacity));
-    BSQ_TRY(bsq_extent_open(writer->ctx, path, &from, &file));
+    BSQ_TRY(fmt_extent_open(writer->ctx, path, &from, &file));
     to.size = from.size;
     for (uint64_t at = 0, size; at < from.size; at += size) {
         size = from.size - at < sizeof buffer ? from.size - at : sizeof buffer;
         BSQ_TRY(bsq_check(writer->ctx));
-        BSQ_TRY(bsq_extent_read(writer->ctx, &file, &from, buffer, size, at));
+        BSQ_TRY(fmt_extent_read(writer->ctx, &file, &from, buffer, size, at));
         BSQ_TRY(write_image_bytes(writer, hash, buffer, size));
     }
     BSQ_TRY(bsq_file_check(writer->ctx, &file));
     BSQ_TRY(write_image_bytes(writer, hash, zeros, bsq_align_up(from.size, 8) - from.size));
-    BSQ_TRY(bsq_extent_name(writer->ctx, "", &to, &writer->images[writer->image_count].name));
+    BSQ_TRY(fmt_extent_name(writer->ctx, "", &to, &writer->images[writer->image_count].name));
     writer->images[writer->image_count++].path = path;
 done:
     bsq_file_close(writer->ctx, &file);
@@ -255,7 +255,7 @@ static int put_text(struct fmt_tris_writer *writer, const void *entry, uint64_t 
 
 /* Appends what a material and a channel of one have first. bits: beside those of `uv`. */
 static int put_source(struct fmt_tris_writer *writer, const float value[3], uint32_t bits,
-                      const struct bsq_uv *uv, const char *texture_path)
+                      const struct fmt_uv *uv, const char *texture_path)
 {
     const char *image = texture_path ? tris_find_image(writer, texture_path) : NULL;
     const char *path = image ? image : texture_path;

@@ -6,7 +6,7 @@
 #ifndef FMT_GRID_NVDB_H
 #define FMT_GRID_NVDB_H
 
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "base/output.h"
 
 #ifdef __cplusplus
@@ -26,7 +26,7 @@ struct fmt_nvdb_record {
     uint32_t normal; /* octahedral 2 x 16 bits: mean of area-weighted normals */
     uint32_t plane;
     uint32_t color; /* RGBA8 sRGB, R in the low byte; 0 if the high-poly mesh has no colour */
-    uint32_t id;    /* RGBA8, see base/channels.h; 0 if the grid has no ids */
+    uint32_t id;    /* RGBA8, see formats/material/channels.h; 0 if the grid has no ids */
 };
 #define FMT_NVDB_PLANE_SECOND       (1u << 24)
 #define FMT_NVDB_PLANE_INCONSISTENT (1u << 25)
@@ -40,9 +40,9 @@ struct fmt_nvdb_info {
     double voxel_size;     /* world units */
     double translation[3]; /* world position of the centre of voxel (0, 0, 0) */
     bool has_color;
-    enum bsq_ids ids;
-    const char *channels; /* further channels: a list of names (base/channels.h); NULL: none. Only
-                             for writing; a grid that was read has `channel_list` */
+    enum fmt_ids ids;
+    const char *channels; /* further channels: a list of names (formats/material/channels.h); NULL:
+                             none. Only for writing; a grid that was read has `channel_list` */
     uint64_t source_triangles;       /* of the high-poly mesh */
     double scan_min[3], scan_max[3]; /* world bounds of the high-poly mesh */
 };
@@ -138,7 +138,7 @@ struct fmt_nvdb_grid {
     uint64_t name_bytes;      /* 0 when the grid has no ids */
     const float *channels;    /* of each record channel_words values; NULL when the grid has none */
     uint32_t channel_words;   /* values of all channels of the list; 0 when the grid has none */
-    const char *channel_list; /* names, see base/channels.h; not terminated */
+    const char *channel_list; /* names, see formats/material/channels.h; not terminated */
     uint32_t channel_list_bytes;
     /* One word for each of transfer_count maps of channels: index of the map's first value in a
      * record, times 4, plus its number of values. The user owns it. NULL after opening. */

@@ -191,7 +191,7 @@ enum { NVDB_TRAILER_HAS_COLOR = 1, NVDB_TRAILER_HAS_IDS = 2, NVDB_TRAILER_HAS_CH
 
 /* Names follow: for each a uint32_t with its bytes, and these. */
 struct nvdb_names_head {
-    uint32_t ids; /* enum bsq_ids */
+    uint32_t ids; /* enum fmt_ids */
     uint32_t count;
 };
 static_assert(sizeof(struct nvdb_names_head) == 8, "head of the names");
@@ -248,9 +248,9 @@ struct nvdb_row {
 extern const struct nvdb_row fmt_nvdb_rows[NVDB_SECTION_COUNT];
 
 /* Returns the flags of a grid that has these. */
-static inline uint32_t nvdb_flags(bool color, enum bsq_ids ids, bool channels)
+static inline uint32_t nvdb_flags(bool color, enum fmt_ids ids, bool channels)
 {
-    return (color ? NVDB_TRAILER_HAS_COLOR : 0) | (ids != BSQ_IDS_NONE ? NVDB_TRAILER_HAS_IDS : 0) |
+    return (color ? NVDB_TRAILER_HAS_COLOR : 0) | (ids != FMT_IDS_NONE ? NVDB_TRAILER_HAS_IDS : 0) |
            (channels ? NVDB_TRAILER_HAS_CHANNELS : 0);
 }
 
@@ -323,7 +323,7 @@ static inline const int64_t *nvdb_table(const struct nvdb_level *level,
 }
 
 /* Computes the offsets of all sections. Nothing overflows if voxels <= 512 * leaves, seconds <=
- * voxels, name_bytes is below 2^61 and channel_words at most BSQ_CHANNEL_VALUES_MAX. */
+ * voxels, name_bytes is below 2^61 and channel_words at most FMT_CHANNEL_VALUES_MAX. */
 void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layout *layout);
 
 static inline uint32_t nvdb_version(enum fmt_nvdb_type type)

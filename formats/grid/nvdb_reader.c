@@ -7,7 +7,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "formats/grid/nvdb_layout_internal.h"
 
 struct head {
@@ -216,7 +216,7 @@ static int nvdb_read_channels(struct head *h)
     const uint8_t *list = h->file + offset + sizeof head;
     const uint64_t bytes = nvdb_channels_head_bytes(head.list_bytes);
     if (h->size - offset < bytes || head.words == 0 ||
-        bsq_channel_list_values((const char *)list, head.list_bytes) != head.words)
+        fmt_channel_list_values((const char *)list, head.list_bytes) != head.words)
         return damaged(h, "list of channels");
     for (uint64_t i = head.list_bytes; i < bytes - sizeof head; i++)
         if (list[i] != 0)
@@ -364,8 +364,8 @@ static bool check_names(struct fmt_nvdb_grid *grid)
     if (grid->name_bytes < sizeof head)
         return false;
     memcpy(&head, grid->names, sizeof head);
-    if (head.ids < BSQ_IDS_MATERIAL || head.ids > BSQ_IDS_COLOR ||
-        (head.ids == BSQ_IDS_COLOR && head.count > 0))
+    if (head.ids < FMT_IDS_MATERIAL || head.ids > FMT_IDS_COLOR ||
+        (head.ids == FMT_IDS_COLOR && head.count > 0))
         return false;
     for (uint32_t i = 0; i < head.count; i++) {
         if (!next_name(grid, &at, &name) || memchr(name.bytes, 0, name.length) ||
@@ -373,7 +373,7 @@ static bool check_names(struct fmt_nvdb_grid *grid)
             return false;
         last = name;
     }
-    grid->info.ids = (enum bsq_ids)head.ids;
+    grid->info.ids = (enum fmt_ids)head.ids;
     return at == grid->name_bytes;
 }
 

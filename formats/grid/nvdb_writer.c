@@ -9,7 +9,7 @@
 #include <string.h>
 #include <xxhash.h>
 
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "base/text.h"
 #include "formats/grid/nvdb_writer_internal.h"
 
@@ -68,7 +68,7 @@ static int count_channels(struct fmt_nvdb_writer *writer)
     const char *list = writer->info.channels;
     if (!list)
         return 0;
-    writer->counts.channel_words = bsq_channel_list_values(list, strlen(list));
+    writer->counts.channel_words = fmt_channel_list_values(list, strlen(list));
     writer->counts.channel_list_bytes = (uint32_t)strlen(list);
     return writer->counts.channel_words > 0
                ? 0
@@ -146,7 +146,7 @@ int fmt_nvdb_set_names(struct fmt_nvdb_writer *writer, const char *const *names,
 {
     const struct nvdb_names_head head = {writer->info.ids, (uint32_t)count};
     uint64_t bytes = sizeof head;
-    if (writer->info.ids == BSQ_IDS_NONE)
+    if (writer->info.ids == FMT_IDS_NONE)
         return 0;
     for (uint64_t i = 0; i < count; i++)
         bytes += sizeof(uint32_t) + strlen(names[i]);

@@ -21,7 +21,7 @@
 #include <tbb/task_arena.h>
 
 extern "C" {
-#include "base/channels.h"
+#include "base/srgb.h"
 #include "base/context.h"
 #include "base/geometry/vec.h"
 }

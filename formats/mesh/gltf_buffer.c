@@ -159,9 +159,9 @@ int fmt_gltf_read_buffer(const struct gltf_item *item, struct gltf_source *sourc
         /* Without a URI: the chunk, for the first; or nothing that this reader can read. */
         const bool chunk = item->index == 0 && d->chunk_offset > 0;
         out->extent =
-            (struct bsq_extent){.offset = d->chunk_offset, .size = chunk ? d->chunk_bytes : 0};
+            (struct fmt_extent){.offset = d->chunk_offset, .size = chunk ? d->chunk_bytes : 0};
     } else if (fmt_gltf_find_data(uri, &offset, &size)) {
-        out->extent = (struct bsq_extent){.offset = offset, .base64 = true};
+        out->extent = (struct fmt_extent){.offset = offset, .base64 = true};
         status = fmt_gltf_measure_data(item, offset, size, &out->extent.size);
     } else {
         status = use_file(item, uri, out);
@@ -251,7 +251,7 @@ int fmt_gltf_read_bytes(struct bsq_ctx *ctx, const struct gltf_source *source, u
 {
     const struct gltf_buffer *from =
         buffer == GLTF_NONE ? &source->decoded : &source->buffers[buffer];
-    return bsq_extent_read(ctx, from->file.fd >= 0 ? &from->file : &source->own, &from->extent, to,
+    return fmt_extent_read(ctx, from->file.fd >= 0 ? &from->file : &source->own, &from->extent, to,
                            size, offset);
 }
 

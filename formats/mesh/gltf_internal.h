@@ -8,7 +8,7 @@
 
 #include <jansson.h>
 
-#include "base/file_extent.h"
+#include "formats/material/file_extent.h"
 #include "formats/mesh/gltf_task.h"
 #include "formats/mesh/mesh_format.h"
 
@@ -81,7 +81,7 @@ const json_t *fmt_gltf_extension(const json_t *object, const char *name);
 struct gltf_buffer {
     char *path;               /* of another file; NULL: the file itself */
     struct bsq_file file;     /* open while that file is read */
-    struct bsq_extent extent; /* of the file */
+    struct fmt_extent extent; /* of the file */
     bool missing;             /* no data: views are decompressed from other buffers */
 };
 

@@ -4,8 +4,9 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/file_extent.h"
-#include "base/channels.h"
+#include "base/srgb.h"
+#include "formats/material/file_extent.h"
+#include "formats/material/channels.h"
 #include "formats/mesh/gltf_internal.h"
 #include "formats/mesh/mesh_text.h"
 
@@ -16,7 +17,7 @@ enum { GLTF_CLAMP = 33071, GLTF_MIRROR = 33648 };
 /* Describes the data of a view: bytes of a file. Returns its path, NULL if it is packed. */
 static const char *part_of_view(const struct gltf_document *document,
                                 const struct gltf_source *source, uint32_t number,
-                                struct bsq_extent *out)
+                                struct fmt_extent *out)
 {
     const struct gltf_view *view = &source->views[number];
     const struct gltf_buffer *buffer = &source->buffers[view->buffer];
@@ -34,7 +35,7 @@ static int find_image(const struct gltf_item *item, struct gltf_source *source, 
 {
     struct gltf_document *d = item->document;
     const char *uri = fmt_gltf_string(item->object, "uri");
-    struct bsq_extent extent = {.base64 = true};
+    struct fmt_extent extent = {.base64 = true};
     uint64_t size;
     uint32_t view;
     bool exists;
@@ -46,13 +47,13 @@ static int find_image(const struct gltf_item *item, struct gltf_source *source, 
     if (view != GLTF_NONE) {
         const char *path = part_of_view(d, source, view, &extent);
         source->unread.packed_images += !path;
-        return path ? bsq_extent_name(d->ctx, path, &extent, out) : 0;
+        return path ? fmt_extent_name(d->ctx, path, &extent, out) : 0;
     }
     if (uri && fmt_gltf_find_data(uri, &extent.offset, &size)) {
         const bool plain = fmt_input_is_plain(d->input);
         source->unread.packed_images += !plain;
         status = plain ? fmt_gltf_measure_data(item, extent.offset, size, &extent.size) : 0;
-        return status || !plain ? status : bsq_extent_name(d->ctx, d->file.path, &extent, out);
+        return status || !plain ? status : fmt_extent_name(d->ctx, d->file.path, &extent, out);
     }
     const char *beside = fmt_input_beside(d->input);
     const int found = uri ? fmt_gltf_uri_path(d->ctx, beside, uri, false, out, &exists) : 0;
@@ -70,9 +71,9 @@ static void read_wrap(const struct gltf_item *texture, uint8_t wrap[2])
     const json_t *sampler = fmt_gltf_element(texture->document, "samplers", number).object;
     for (int k = 0; k < 2; k++)
         if (fmt_gltf_whole(json_object_get(sampler, keys[k]), INT32_MAX, &mode))
-            wrap[k] = mode == GLTF_CLAMP    ? BSQ_WRAP_CLAMP
-                      : mode == GLTF_MIRROR ? BSQ_WRAP_MIRROR
-                                            : BSQ_WRAP_REPEAT;
+            wrap[k] = mode == GLTF_CLAMP    ? FMT_WRAP_CLAMP
+                      : mode == GLTF_MIRROR ? FMT_WRAP_MIRROR
+                                            : FMT_WRAP_REPEAT;
 }
 
 /* Sets *out to the path or name of the image of a texture, which the caller frees; NULL if there is
@@ -148,7 +149,7 @@ static const json_t *find_texture_info(const struct gltf_item *item, const json_
  * and a warning says so if the channel is kept. */
 
 /* Returns the object of a material that has the members of a channel; NULL: none. */
-static const json_t *object_of(const struct gltf_item *item, const struct bsq_channel_gltf *row)
+static const json_t *object_of(const struct gltf_item *item, const struct fmt_channel_gltf *row)
 {
     const json_t *member = json_object_get(item->object, row->object);
     if (row->object[0] == '\0')
@@ -158,7 +159,7 @@ static const json_t *object_of(const struct gltf_item *item, const struct bsq_ch
 
 /* Finds out how coordinates that `base` made become those that `own` makes, of the same set. v of
  * matrices points downwards, v of *out upwards. Returns false if scale and offset cannot do it. */
-static bool relate(const double base[2][3], const double own[2][3], struct bsq_uv *out)
+static bool relate(const double base[2][3], const double own[2][3], struct fmt_uv *out)
 {
     const double determinant = base[0][0] * base[1][1] - base[0][1] * base[1][0];
     double scale[2][2], offset[2];
@@ -199,7 +200,7 @@ static int read_uv(const struct gltf_item *item, const struct gltf_material *mat
     bsq_free(ctx, out->texture_path);
     bsq_free(ctx, out->texture_place);
     out->texture_path = out->texture_place = NULL;
-    out->uv = (struct bsq_uv){.moves = false};
+    out->uv = (struct fmt_uv){.moves = false};
     out->loss = "its texture has other texture coordinates than the base colour and is not used";
     return 0;
 }
@@ -218,7 +219,7 @@ static double read_real(const json_t *object, const char *key, double usual)
 static int read_factor(const struct gltf_item *item, const json_t *object, const json_t *info,
                        struct fmt_material_channel *out)
 {
-    const struct bsq_channel_gltf *row = &out->channel->gltf;
+    const struct fmt_channel_gltf *row = &out->channel->gltf;
     const bool given = row->factor && json_object_get(object, row->factor);
     const double usual = (double)row->usual, one = read_real(object, row->factor, usual);
     const double light =
@@ -252,14 +253,14 @@ static int read_texture(const struct gltf_item *item, struct gltf_source *source
                         const json_t *info, struct fmt_material_channel *out)
 {
     struct gltf_document *d = item->document;
-    struct bsq_extent extent;
+    struct fmt_extent extent;
     uint32_t texture = GLTF_NONE;
     int status;
     BSQ_TRY(fmt_gltf_index(item, info, "index", "textures", &texture));
     if (texture != GLTF_NONE)
         BSQ_TRY(find_texture(d, source, texture, out->uv.wrap, &out->texture_path));
     out->uv.srgb = out->texture_path && out->channel->color;
-    if (out->texture_path && bsq_extent_parse(out->texture_path, &extent) == 0)
+    if (out->texture_path && fmt_extent_parse(out->texture_path, &extent) == 0)
         status = bsq_text_copy(d->ctx, d->file.path, &out->texture_place);
 done:
     return status;
@@ -280,7 +281,7 @@ static int read_channel_texture(const struct gltf_item *item, struct gltf_source
 static int read_channel(const struct gltf_item *item, struct gltf_source *source,
                         const struct gltf_material *material, struct fmt_material_channel *out)
 {
-    const struct bsq_channel_gltf *row = &out->channel->gltf;
+    const struct fmt_channel_gltf *row = &out->channel->gltf;
     const json_t *object = object_of(item, row), *info = json_object_get(object, row->texture);
     int status = read_factor(item, object, info, out);
     out->component = row->component;
@@ -294,13 +295,13 @@ static int read_channels(const struct gltf_item *item, struct gltf_source *sourc
                          struct gltf_material *material)
 {
     struct fmt_material *list = &material->described;
-    const struct bsq_channel *row;
+    const struct fmt_channel *row;
     uint32_t count = 0;
-    for (unsigned i = 0; (row = bsq_channel_at(i)); i++)
+    for (unsigned i = 0; (row = fmt_channel_at(i)); i++)
         count += row->gltf.object != NULL;
     int status = bsq_calloc(item->document->ctx, "glTF materials", count, sizeof *list->channels,
                             &list->channels);
-    for (unsigned i = 0; (row = bsq_channel_at(i)) && !status; i++) {
+    for (unsigned i = 0; (row = fmt_channel_at(i)) && !status; i++) {
         if (!row->gltf.object)
             continue;
         struct fmt_material_channel *channel = &list->channels[list->channel_count++];
@@ -349,7 +350,7 @@ static int read_opacity(const struct gltf_item *item, double alpha, struct fmt_m
     if (out->opaque)
         return 0;
     int status =
-        fmt_material_enter_channel(item->document->ctx, out, bsq_channel_find("opacity"), &opacity);
+        fmt_material_enter_channel(item->document->ctx, out, fmt_channel_find("opacity"), &opacity);
     if (status)
         return status;
     opacity->value[0] = out->cutout ? (float)(alpha >= cutoff) : (float)alpha;

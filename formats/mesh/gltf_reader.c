@@ -7,7 +7,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/channels.h"
+#include "base/srgb.h"
 #include "formats/mesh/gltf_internal.h"
 #include "formats/mesh/mesh_text.h"
 

@@ -305,13 +305,6 @@ struct stream_unread {
 int fmt_stream_warn_unread(const struct stream_source *source, const struct stream_unread *kinds,
                            size_t count);
 
-/* ---- mesh_material.c ---- */
-
-/* Copies a material, but not its object. Free *out as fmt_materials_free() does. */
-int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from,
-                      struct fmt_material *out);
-void fmt_material_free(struct bsq_ctx *ctx, struct fmt_material *material);
-
 /* ---- obj_material.c ---- */
 
 /* Warns of materials without a colour, after those of all files were read. */

@@ -1,13 +1,7 @@
-/* mesh_material.c - lists of materials, for all formats. */
+/* mesh_material.c - the materials of all files of a scan. */
 #include <string.h>
 
 #include "formats/mesh/mesh_format.h"
-#include "formats/mesh/mesh_text.h"
-
-const struct bsq_channel fmt_color_channel = {
-    .name = "", .values = 3, .color = true, .mtl_map = "map_Kd", .mtl_value = "Kd", .usual = 0.8f};
-
-/* ---- the materials of a scan ---- */
 
 /* Moves the materials of a file to their numbers over the scan. */
 static void place_materials(const struct stream_source *source, struct fmt_materials *own,
@@ -17,35 +11,6 @@ static void place_materials(const struct stream_source *source, struct fmt_mater
         out->list[source->numbers[i]] = own->list[i];
         own->list[i] = (struct fmt_material){0};
     }
-}
-
-static int copy_channel(struct bsq_ctx *ctx, const struct fmt_material_channel *from,
-                        struct fmt_material_channel *out)
-{
-    *out = *from;
-    out->texture_path = out->texture_place = NULL;
-    const int status = bsq_text_copy(ctx, from->texture_path, &out->texture_path);
-    return status ? status : bsq_text_copy(ctx, from->texture_place, &out->texture_place);
-}
-
-int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from,
-                      struct fmt_material *out)
-{
-    int status;
-    /* NOLINTNEXTLINE(clang-analyzer-core.NullDereference): a material that was added */
-    *out = *from;
-    out->name = out->object = out->color.texture_path = out->color.texture_place = NULL;
-    out->channels = NULL;
-    out->channel_count = 0;
-    BSQ_TRY(bsq_text_copy(ctx, from->name, &out->name));
-    BSQ_TRY(copy_channel(ctx, &from->color, &out->color));
-    if (from->channel_count > 0)
-        BSQ_TRY(bsq_calloc(ctx, "materials", from->channel_count, sizeof *out->channels,
-                           &out->channels));
-    for (uint32_t i = 0; i < from->channel_count; i++)
-        BSQ_TRY(copy_channel(ctx, &from->channels[i], &out->channels[out->channel_count++]));
-done:
-    return status;
 }
 
 /* Turns the list of a file's materials into one of its objects. */
@@ -110,73 +75,4 @@ int fmt_mesh_preview_materials(struct fmt_mesh_reader *reader, struct fmt_materi
     if (status)
         fmt_materials_free(reader->ctx, out);
     return status;
-}
-
-/* Returns a channel that the file says nothing of. */
-static struct fmt_material_channel usual_channel(const struct bsq_channel *row)
-{
-    return (struct fmt_material_channel){
-        .channel = row, .value = {row->usual, row->usual, row->usual}, .factor = {1, 1, 1}};
-}
-
-int fmt_materials_add(struct bsq_ctx *ctx, struct fmt_materials *list, struct fmt_material **out)
-{
-    if (list->count == UINT32_MAX - 1)
-        return bsq_fail(ctx, BSQ_EDATA, "too many materials");
-    int status = FMT_RESERVE(ctx, list->count + UINT64_C(1), list->list, list->capacity);
-    if (status)
-        return status;
-    *out = &list->list[list->count++];
-    **out = (struct fmt_material){.color = usual_channel(&fmt_color_channel)};
-    return 0;
-}
-
-/* ---- one material ---- */
-
-static void free_channel(struct bsq_ctx *ctx, struct fmt_material_channel *channel)
-{
-    bsq_free(ctx, channel->texture_path);
-    bsq_free(ctx, channel->texture_place);
-}
-
-void fmt_material_free(struct bsq_ctx *ctx, struct fmt_material *material)
-{
-    for (uint32_t i = 0; i < material->channel_count; i++)
-        free_channel(ctx, &material->channels[i]);
-    free_channel(ctx, &material->color);
-    bsq_free(ctx, material->channels);
-    bsq_free(ctx, material->name);
-    bsq_free(ctx, material->object);
-}
-
-void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials)
-{
-    for (uint32_t i = 0; i < materials->count; i++)
-        fmt_material_free(ctx, &materials->list[i]);
-    bsq_free(ctx, materials->list);
-    memset(materials, 0, sizeof *materials);
-}
-
-struct fmt_material_channel *fmt_material_find_channel(const struct fmt_material *material,
-                                                       const char *name)
-{
-    for (uint32_t i = 0; i < material->channel_count; i++)
-        if (strcmp(material->channels[i].channel->name, name) == 0)
-            return &material->channels[i];
-    return NULL;
-}
-
-int fmt_material_enter_channel(struct bsq_ctx *ctx, struct fmt_material *material,
-                               const struct bsq_channel *channel, struct fmt_material_channel **out)
-{
-    uint64_t capacity = material->channel_count; /* materials have few channels */
-    if ((*out = fmt_material_find_channel(material, channel->name)) != NULL)
-        return 0;
-    int status = bsq_grow(ctx, "materials", material->channel_count + UINT64_C(1),
-                          sizeof *material->channels, &material->channels, &capacity);
-    if (status)
-        return status;
-    *out = &material->channels[material->channel_count++];
-    **out = usual_channel(channel);
-    return 0;
 }

@@ -10,7 +10,7 @@
 #include "base/file.h"
 #include "base/path_map.h"
 #include "base/text.h"
-#include "base/tile_files.h"
+#include "formats/material/tile_files.h"
 
 void fmt_mesh_quote(const char *text, const char *end, char *out, size_t size)
 {
@@ -119,13 +119,13 @@ int fmt_path_beside(struct bsq_ctx *ctx, const char *beside, const char *path, c
 /* Checks that a path is a regular file, or that a texture of tiles has a tile. */
 static int check_file(struct bsq_ctx *ctx, const char *path, bool *is_file)
 {
-    struct bsq_tile_files tiles = {0};
+    struct fmt_tile_files tiles = {0};
     struct stat info;
     int status = 0;
-    if (bsq_has_tiles(path)) {
-        status = bsq_tile_files_find(ctx, path, &tiles);
+    if (fmt_has_tiles(path)) {
+        status = fmt_tile_files_find(ctx, path, &tiles);
         *is_file = tiles.count > 0;
-        bsq_tile_files_free(ctx, &tiles);
+        fmt_tile_files_free(ctx, &tiles);
     } else {
         *is_file = stat(path, &info) == 0 && S_ISREG(info.st_mode);
     }
@@ -165,7 +165,7 @@ static bool match_capitals(char *path, size_t from)
         next = end + (*end == '/');
         const char end_byte = *end, next_byte = *next;
         *next = '\0'; /* a path that ends in a slash is a folder */
-        found = end == name || stat(path, &info) == 0 || (!end_byte && bsq_has_tiles(path));
+        found = end == name || stat(path, &info) == 0 || (!end_byte && fmt_has_tiles(path));
         *next = next_byte;
         if (found)
             continue;

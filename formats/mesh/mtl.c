@@ -1,6 +1,7 @@
 /* mtl.c - reads the colours, textures and further channels of materials in Wavefront MTL files.
  *
  * Such files are small, so one is held whole and cut into lines in place. */
+#include "base/srgb.h"
 #include "formats/mesh/obj_internal.h"
 
 #include <ctype.h>
@@ -150,7 +151,7 @@ static const struct map_option *find_option(const char *p)
 /* A texture of a map_ statement. */
 struct texture {
     char **path, **place;
-    struct bsq_uv uv;
+    struct fmt_uv uv;
     uint32_t component;
     bool scalar;       /* it gives one value, so `component` counts */
     bool after_vector; /* the file could be a number of the option before it */
@@ -161,7 +162,7 @@ struct texture {
 static int use_vector(struct reader *reader, const char *option, const double numbers[3], int count,
                       struct texture *texture)
 {
-    struct bsq_uv *uv = &texture->uv;
+    struct fmt_uv *uv = &texture->uv;
     for (int i = 0; i < count; i++)
         if (fabs(numbers[i]) > most_number)
             return warn(reader, "out of range, ignored", option);
@@ -257,10 +258,10 @@ static int read_texture(struct reader *reader, const char *statement, char *p,
 /* ---- properties: the colour, and further channels ---- */
 
 /* Returns the channel that a statement is about, or NULL. */
-static const struct bsq_channel *find_property(const char *p, bool *is_map)
+static const struct fmt_channel *find_property(const char *p, bool *is_map)
 {
-    const struct bsq_channel *row = &fmt_color_channel;
-    for (unsigned i = 0; row; row = bsq_channel_at(i++)) {
+    const struct fmt_channel *row = &fmt_color_channel;
+    for (unsigned i = 0; row; row = fmt_channel_at(i++)) {
         *is_map = row->mtl_map && word_is(p, row->mtl_map);
         if (*is_map || (row->mtl_value && word_is(p, row->mtl_value)) ||
             (row->mtl_inverse && word_is(p, row->mtl_inverse)))
@@ -304,7 +305,7 @@ static int read_channel_value(struct reader *reader, char *p, char *rest,
 }
 
 /* Reads a statement at `p` about a channel: its value, or its texture. */
-static int read_property(struct reader *reader, const struct bsq_channel *channel, bool is_map,
+static int read_property(struct reader *reader, const struct fmt_channel *channel, bool is_map,
                          char *p, char *rest)
 {
     struct fmt_material *material = current(reader);
@@ -345,7 +346,7 @@ static int read_line(struct reader *reader, char *line)
     if (word_is(p, "newmtl"))
         return begin_material(reader, rest);
     bool is_map;
-    const struct bsq_channel *channel = find_property(p, &is_map);
+    const struct fmt_channel *channel = find_property(p, &is_map);
     if (channel)
         return read_property(reader, channel, is_map, p, rest);
     if (!is_ignored(p))

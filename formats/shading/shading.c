@@ -2,15 +2,16 @@
  *
  * All textures are one set, in which image a * (materials + 1) + m is that of attribute a and
  * material m. */
+#include "base/srgb.h"
 #include "formats/shading/shading.h"
 
 #include <string.h>
 #include <unistd.h>
 
-#include "base/channels.h"
-#include "base/file_extent.h"
+#include "formats/material/channels.h"
+#include "formats/material/file_extent.h"
 #include "base/sort_array.h"
-#include "base/tile_files.h"
+#include "formats/material/tile_files.h"
 #include "formats/texture/texture.h"
 
 /* Returns the number of sources that an attribute has. */
@@ -20,7 +21,7 @@ static uint64_t source_count(const struct fmt_shading *shading)
 }
 
 /* Makes attribute `number` used, with sources of zeros. */
-static int shading_add(struct fmt_shading *shading, uint32_t number, const struct bsq_channel *row,
+static int shading_add(struct fmt_shading *shading, uint32_t number, const struct fmt_channel *row,
                        struct fmt_tris_source **sources)
 {
     struct bsq_ctx *ctx = shading->ctx;
@@ -38,7 +39,7 @@ done:
 
 int fmt_shading_add_color(struct fmt_shading *shading)
 {
-    static const struct bsq_channel row = {.name = "color", .values = 3, .color = true};
+    static const struct fmt_channel row = {.name = "color", .values = 3, .color = true};
     const struct fmt_tris_header *header = shading->header;
     struct fmt_tris_source *sources;
     int status = 0;
@@ -64,7 +65,7 @@ static int shading_add_channel(struct fmt_shading *shading, uint32_t number, con
                                const char *path)
 {
     const struct fmt_tris_header *header = shading->header;
-    const struct bsq_channel *row = bsq_channel_find(name);
+    const struct fmt_channel *row = fmt_channel_find(name);
     const uint32_t channel = fmt_tris_find_channel(header, name), none = header->material_count;
     struct fmt_tris_source *sources;
     int status = shading_add(shading, number, row, &sources);
@@ -83,7 +84,7 @@ static int shading_add_channel(struct fmt_shading *shading, uint32_t number, con
 
 int fmt_shading_add_normal_map(struct fmt_shading *shading, const char *path)
 {
-    static const char name[] = BSQ_CHANNEL_NORMAL_MAP;
+    static const char name[] = FMT_CHANNEL_NORMAL_MAP;
     if (!path && fmt_tris_find_channel(shading->header, name) == UINT32_MAX)
         return 0;
     if (path && !(shading->header->attributes & FMT_TRIS_TEXCOORDS))
@@ -120,7 +121,7 @@ int fmt_shading_add_ids(struct fmt_shading *shading)
     const uint64_t count = source_count(shading);
     int status = bsq_alloc(shading->ctx, "ids", count, sizeof *shading->ids, &shading->ids);
     for (uint64_t m = 0; m < count && status == 0; m++)
-        shading->ids[m] = bsq_name_id(shading_name_of(shading->header, m));
+        shading->ids[m] = fmt_name_id(shading_name_of(shading->header, m));
     return status;
 }
 
@@ -159,7 +160,7 @@ static void image_of(const void *arg, uint64_t image, struct fmt_texture_source 
     out->path = source->texture_path;
     out->data = !attribute->row->color;
     out->srgb = source->uv.srgb;
-    out->alpha = bsq_channel_needs_alpha(source->component);
+    out->alpha = fmt_channel_needs_alpha(source->component);
 }
 
 bool fmt_shading_needs_textures(const struct fmt_shading *shading)
@@ -189,10 +190,10 @@ static int shading_find_textures(const struct fmt_shading *shading)
 {
     for (uint64_t i = 0; i < shading->attribute_count * source_count(shading); i++) {
         struct fmt_texture_source source = {0};
-        struct bsq_extent extent;
+        struct fmt_extent extent;
         image_of(shading, i, &source);
-        if (!source.path || bsq_extent_parse(source.path, &extent) > 0 ||
-            bsq_has_tiles(source.path) || access(source.path, F_OK) == 0 ||
+        if (!source.path || fmt_extent_parse(source.path, &extent) > 0 ||
+            fmt_has_tiles(source.path) || access(source.path, F_OK) == 0 ||
             !is_own(shading->header, source.path))
             continue;
         return bsq_fail(shading->ctx, BSQ_ENOINPUT,
@@ -236,7 +237,7 @@ uint32_t fmt_shade_id(const struct fmt_shading *shading, const struct fmt_tris_c
                       uint32_t triangle, const double weights[3])
 {
     int nearest = 0;
-    if (shading->header->ids != BSQ_IDS_COLOR)
+    if (shading->header->ids != FMT_IDS_COLOR)
         return shading->ids[fmt_shading_material(shading, chunk, triangle)];
     for (int i = 1; i < 3; i++)
         nearest = weights[i] > weights[nearest] ? i : nearest;
@@ -244,12 +245,12 @@ uint32_t fmt_shade_id(const struct fmt_shading *shading, const struct fmt_tris_c
 }
 
 /* For a channel with one value, copies one component of a texture's sample to all three entries.
- * Samples of alpha have it three times already. value: of the channel, for BSQ_CHANNEL_CUTOUT. */
-static void pick(const struct bsq_channel *channel, uint32_t component, float value,
+ * Samples of alpha have it three times already. value: of the channel, for FMT_CHANNEL_CUTOUT. */
+static void pick(const struct fmt_channel *channel, uint32_t component, float value,
                  float sample[3])
 {
-    float picked = sample[component < BSQ_CHANNEL_ALPHA ? component : 0];
-    if (component == BSQ_CHANNEL_CUTOUT)
+    float picked = sample[component < FMT_CHANNEL_ALPHA ? component : 0];
+    if (component == FMT_CHANNEL_CUTOUT)
         picked = picked >= value ? 1.0f : 0.0f;
     if (channel->values == 1)
         sample[0] = sample[1] = sample[2] = picked;
@@ -257,9 +258,9 @@ static void pick(const struct bsq_channel *channel, uint32_t component, float va
 
 /* Applies the factor of a texture to its sample: neutral + factor * (sample - neutral). The third
  * value of a normal map stays as it is. */
-static void scale(const struct bsq_channel *channel, const float factor[3], float sample[3])
+static void scale(const struct fmt_channel *channel, const float factor[3], float sample[3])
 {
-    const bool normals = strcmp(channel->name, BSQ_CHANNEL_NORMAL_MAP) == 0;
+    const bool normals = strcmp(channel->name, FMT_CHANNEL_NORMAL_MAP) == 0;
     for (int k = 0; k < (normals ? 2 : 3); k++)
         if (factor[k] != 1.0f)
             sample[k] = channel->neutral + factor[k] * (sample[k] - channel->neutral);
@@ -277,15 +278,15 @@ int fmt_shade_attribute(const struct fmt_shading *shading, uint32_t attribute,
         return 0;
     }
     for (int k = 0; k < 2; k++) {
-        at[k] = bsq_uv_apply(&source->uv, k, footprint->at[k]);
-        width[k] = bsq_uv_width(&source->uv, k, footprint->width[k]);
+        at[k] = fmt_uv_apply(&source->uv, k, footprint->at[k]);
+        width[k] = fmt_uv_width(&source->uv, k, footprint->width[k]);
     }
     int status = fmt_texture_sample(shading->textures, (uint32_t)image, source->uv.wrap, at[0],
                                     at[1], width[0], width[1], out);
     if (status < 0)
         return status;
     pick(of->row, source->component, source->value[0], out);
-    if (source->component != BSQ_CHANNEL_CUTOUT)
+    if (source->component != FMT_CHANNEL_CUTOUT)
         scale(of->row, source->value, out);
     return 0;
 }

@@ -7,14 +7,14 @@
 #ifndef FMT_SHADING_SHADING_H
 #define FMT_SHADING_SHADING_H
 
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "formats/chunks/tris.h"
 
 /* Numbers of attributes. Further channels follow. */
 enum { FMT_SHADING_COLOR, FMT_SHADING_NORMAL_MAP, FMT_SHADING_CHANNELS };
 
 struct fmt_attribute {
-    const struct bsq_channel *row; /* how many values it has, and whether they are a colour */
+    const struct fmt_channel *row; /* how many values it has, and whether they are a colour */
     /* Of each material, then of triangles without one. NULL: the attribute is not used. Colours
      * have their textures here, and other values in `diffuse`. */
     struct fmt_tris_source *sources;

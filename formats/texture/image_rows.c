@@ -14,7 +14,7 @@
 struct probe {
     struct bsq_ctx *ctx;
     const struct bsq_file *file;
-    const struct bsq_extent *extent; /* of the file: only this is looked at */
+    const struct fmt_extent *extent; /* of the file: only this is looked at */
     int status;                      /* of the first read that failed, or 0 */
     uint8_t head[64];
 };
@@ -37,7 +37,7 @@ static void rows_read_at(struct probe *probe, uint64_t offset, uint8_t *to, uint
     const uint64_t left = probe->extent->size > offset ? probe->extent->size - offset : 0;
     memset(to, 0, size);
     size = size < left ? size : left;
-    const int status = bsq_extent_read(probe->ctx, probe->file, probe->extent, to, size, offset);
+    const int status = fmt_extent_read(probe->ctx, probe->file, probe->extent, to, size, offset);
     probe->status = probe->status < 0 ? probe->status : status;
 }
 
@@ -193,23 +193,23 @@ done:
 }
 
 /* Replaces the file by a copy of the extent that is the image, unless that is all of it. */
-static int extract(struct fmt_rows *rows, const struct bsq_extent *extent)
+static int extract(struct fmt_rows *rows, const struct fmt_extent *extent)
 {
     struct bsq_file whole = rows->input.file;
     if (extent->offset == 0 && extent->size == whole.size && !extent->base64)
         return 0;
-    const int status = bsq_extent_extract(rows->input.ctx, &whole, extent, &rows->input.file);
+    const int status = fmt_extent_extract(rows->input.ctx, &whole, extent, &rows->input.file);
     bsq_file_close(rows->input.ctx, &whole);
     return status;
 }
 
 int fmt_rows_open(struct bsq_ctx *ctx, const char *path, unsigned sharers, struct fmt_rows *rows)
 {
-    struct bsq_extent extent;
+    struct fmt_extent extent;
     struct probe probe = {.ctx = ctx, .file = &rows->input.file, .extent = &extent};
     int status;
     *rows = (struct fmt_rows){.input = {.ctx = ctx, .path = path, .file = BSQ_FILE_CLOSED}};
-    BSQ_TRY(bsq_extent_open(ctx, path, &extent, &rows->input.file));
+    BSQ_TRY(fmt_extent_open(ctx, path, &extent, &rows->input.file));
     rows_read_at(&probe, 0, probe.head, sizeof probe.head);
     const struct format *format = find_format(&probe);
     BSQ_TRY(probe.status);

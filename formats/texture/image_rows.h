@@ -8,7 +8,7 @@
 
 #include <stdio.h>
 
-#include "base/file_extent.h"
+#include "formats/material/file_extent.h"
 #include "formats/program/program.h"
 
 #ifdef __cplusplus
@@ -70,10 +70,10 @@ struct fmt_rows {
     uint64_t reserved_bytes;
 };
 
-/* Opens an image, of a file or of an extent of a file (base/file_extent.h). The content tells the
- * format. Reserves the memory for decoding; a program gets half of what is left, or its share if
- * several are opened at a time (`sharers`). `rows` must not move.
- * Close it, also after a failure. Errors: those of bsq_file_open() and of decoders. */
+/* Opens an image, of a file or of an extent of a file (formats/material/file_extent.h). The content
+ * tells the format. Reserves the memory for decoding; a program gets half of what is left, or its
+ * share if several are opened at a time (`sharers`). `rows` must not move. Close it, also after a
+ * failure. Errors: those of bsq_file_open() and of decoders. */
 int fmt_rows_open(struct bsq_ctx *ctx, const char *path, unsigned sharers, struct fmt_rows *rows);
 void fmt_rows_close(struct fmt_rows *rows); /* zeros are allowed */
 

@@ -17,7 +17,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/channels.h"
+#include "base/srgb.h"
 
 enum { BLOCK_COLUMNS = 64, BLOCK_BYTES = 96 * BLOCK_COLUMNS, SET_BLOCKS = 8 };
 enum { CELLS_ALONG = 4 }; /* least cells along a side of a box, on levels above 0 */

@@ -17,11 +17,11 @@
 #include "base/context.h"
 #include "base/parallel.h"
 #include "base/text.h"
-#include "base/tile_files.h"
+#include "formats/material/tile_files.h"
 #include "formats/texture/image_rows.h"
 #include "formats/texture/pyramid.h"
 
-enum { ALL_TILES = BSQ_TILE_COLUMNS * BSQ_TILE_ROWS };
+enum { ALL_TILES = FMT_TILE_COLUMNS * FMT_TILE_ROWS };
 
 /* The image of a file. */
 struct image {
@@ -37,7 +37,7 @@ struct image {
 struct texture {
     struct fmt_texture_source source;
     uint32_t first;              /* image; more images follow, in the order of `files` */
-    struct bsq_tile_files files; /* empty for a texture of one file */
+    struct fmt_tile_files files; /* empty for a texture of one file */
     /* Of each tile, and at last of what lies outside of all: 1 if a lookup found it missing, 2 if
      * that was told. NULL: the texture has one file. */
     atomic_uchar *missing;
@@ -80,10 +80,10 @@ static int texture_add(struct fmt_textures *t, const struct fmt_texture_source *
     struct texture *texture = &t->list[t->count++];
     *texture = (struct texture){.source = *source, .first = (uint32_t)t->image_count};
     texture->source.path = path;
-    if (!bsq_has_tiles(path))
+    if (!fmt_has_tiles(path))
         return add_image(t, path);
     BSQ_TRY(bsq_calloc(ctx, "texture tiles", ALL_TILES + 1, 1, &texture->missing));
-    BSQ_TRY(bsq_tile_files_find(ctx, path, &texture->files));
+    BSQ_TRY(fmt_tile_files_find(ctx, path, &texture->files));
     if (texture->files.count == 0)
         return bsq_fail(ctx, BSQ_ENOINPUT, "%s: no tile of this texture exists", path);
     for (uint64_t i = 0; i < texture->files.count; i++)
@@ -298,7 +298,7 @@ void fmt_textures_close(struct fmt_textures *t)
         free(t->images[i].damage);
     }
     for (uint64_t i = 0; i < t->count; i++) {
-        bsq_tile_files_free(ctx, &t->list[i].files);
+        fmt_tile_files_free(ctx, &t->list[i].files);
         bsq_free(ctx, t->list[i].missing);
     }
     fmt_blocks_free(&t->blocks);
@@ -345,13 +345,13 @@ static double texture_corner_of(double u)
 /* Returns the number of a tile; ALL_TILES if there is none with these whole coordinates. */
 static uint32_t tile_number(double u, double v)
 {
-    const bool inside = u >= 0 && v >= 0 && u < BSQ_TILE_COLUMNS && v < BSQ_TILE_ROWS;
-    return inside ? (uint32_t)u + BSQ_TILE_COLUMNS * (uint32_t)v : (uint32_t)ALL_TILES;
+    const bool inside = u >= 0 && v >= 0 && u < FMT_TILE_COLUMNS && v < FMT_TILE_ROWS;
+    return inside ? (uint32_t)u + FMT_TILE_COLUMNS * (uint32_t)v : (uint32_t)ALL_TILES;
 }
 
 static int compare_numbers(const void *a, const void *b)
 {
-    const uint32_t x = *(const uint32_t *)a, y = ((const struct bsq_tile_file *)b)->number;
+    const uint32_t x = *(const uint32_t *)a, y = ((const struct fmt_tile_file *)b)->number;
     return (x > y) - (x < y);
 }
 
@@ -359,8 +359,8 @@ static int compare_numbers(const void *a, const void *b)
 static const struct image *texture_find_image(const struct fmt_textures *t,
                                               const struct texture *texture, uint32_t number)
 {
-    const struct bsq_tile_files *files = &texture->files;
-    const struct bsq_tile_file *file =
+    const struct fmt_tile_files *files = &texture->files;
+    const struct fmt_tile_file *file =
         bsearch(&number, files->list, files->count, sizeof *files->list, compare_numbers);
     const struct image *image = file ? &t->images[texture->first + (file - files->list)] : NULL;
     return image && !image->damage ? image : NULL;
@@ -408,12 +408,12 @@ static int sample_tiles(struct fmt_textures *t, struct texture *texture, double 
 }
 
 /* Returns a coordinate in the image that has the same texel. */
-static double unwrap(enum bsq_wrap wrap, float u, float width, uint32_t texels)
+static double unwrap(enum fmt_wrap wrap, float u, float width, uint32_t texels)
 {
     const double x = (double)u;
-    if (wrap == BSQ_WRAP_REPEAT)
+    if (wrap == FMT_WRAP_REPEAT)
         return x;
-    return keep_inside(wrap == BSQ_WRAP_MIRROR ? fabs(x - 2 * rint(x / 2)) : x, width, texels);
+    return keep_inside(wrap == FMT_WRAP_MIRROR ? fabs(x - 2 * rint(x / 2)) : x, width, texels);
 }
 
 int fmt_texture_sample(struct fmt_textures *t, uint32_t source, const uint8_t wrap[2], float u,
@@ -424,8 +424,8 @@ int fmt_texture_sample(struct fmt_textures *t, uint32_t source, const uint8_t wr
     const struct fmt_pyramid *p = &image->pyramid;
     return texture->missing
                ? sample_tiles(t, texture, settle(u), settle(v), du, dv, out)
-               : texture_sample(image, unwrap((enum bsq_wrap)wrap[0], u, du, p->width),
-                                unwrap((enum bsq_wrap)wrap[1], v, dv, p->height), du, dv, out);
+               : texture_sample(image, unwrap((enum fmt_wrap)wrap[0], u, du, p->width),
+                                unwrap((enum fmt_wrap)wrap[1], v, dv, p->height), du, dv, out);
 }
 
 /* ---- losses ---- */

@@ -8,7 +8,7 @@
 #define FMT_TEXTURE_TEXTURE_H
 
 #include "base/context.h"
-#include "base/channels.h"
+#include "formats/material/channels.h"
 
 struct fmt_textures;
 
@@ -20,12 +20,12 @@ struct fmt_texture_source {
     bool alpha;       /* its alpha channel; of an image without one, the first channel, as data */
 };
 
-/* Opens `count` images. A path may have tokens for UDIM tiles (base/tile_files.h), each of which is
- * a file. What lies in no tile is black, and so are tiles whose file cannot be read, unless all of
- * a texture cannot. A source that occurs twice is opened once. Reads each image through once, on
- * all threads, so it must not be called from parallel work. The images and their cache take at most
- * cache_bytes (1 MiB if it is less); those that exceed it are copied to a temporary file. Decoders
- * take memory beside that.
+/* Opens `count` images. A path may have tokens for UDIM tiles (formats/material/tile_files.h), each
+ * of which is a file. What lies in no tile is black, and so are tiles whose file cannot be read,
+ * unless all of a texture cannot. A source that occurs twice is opened once. Reads each image
+ * through once, on all threads, so it must not be called from parallel work. The images and their
+ * cache take at most cache_bytes (1 MiB if it is less); those that exceed it are copied to a
+ * temporary file. Decoders take memory beside that.
  *
  * 0 cache_bytes: keeps no texels, so there are no lookups. Files that cannot be read are no failure
  * then, see fmt_texture_problem().

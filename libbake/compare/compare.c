@@ -4,7 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/channels.h"
+#include "base/srgb.h"
 #include "base/parallel.h"
 #include "base/text.h"
 #include "formats/image/image_writer.h"

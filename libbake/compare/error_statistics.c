@@ -4,7 +4,7 @@
  * threads. */
 #include <math.h>
 
-#include "base/channels.h"
+#include "base/srgb.h"
 #include "libbake/compare/comparison.h"
 
 /* Checks for an interruption, once every 2^20 texels: maps have up to billions of them. */

@@ -116,7 +116,7 @@ int bake_exact_use(struct bake_exact *exact, const struct bake_exact_attributes 
         BSQ_TRY(fmt_shading_add_channel(shading, attributes->transfers[i].name,
                                         attributes->transfers[i].texture_path));
     BSQ_TRY(fmt_shading_add_normal_map(shading, attributes->normal_map));
-    if (attributes->ids && exact->header->ids != BSQ_IDS_NONE)
+    if (attributes->ids && exact->header->ids != FMT_IDS_NONE)
         BSQ_TRY(fmt_shading_add_ids(shading));
     status = fmt_shading_open_textures(shading, cache_bytes(exact));
 done:

@@ -4,7 +4,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/channels.h"
+#include "formats/material/tile_files.h"
+#include "formats/material/channels.h"
 #include "base/context.h"
 #include "base/file.h"
 #include "base/sort_array.h"
@@ -27,14 +28,14 @@ static int warn_of_lost_maps(const struct bake_surface *surface, uint32_t asked)
     bool colors = false, ids = false;
     for (uint32_t s = 0; s < surface->scan_count && surface->scan_count > 1; ++s) {
         colors |= surface->scans[s].has_color;
-        ids |= surface->scans[s].ids != BSQ_IDS_NONE;
+        ids |= surface->scans[s].ids != FMT_IDS_NONE;
     }
     int status = 0;
     if (colors && !surface->has_color)
         status = bsq_warn_loss(surface->ctx,
                                "%s has no colour, and other scans have: no map color is baked",
                                without_color(surface)->path);
-    if (status == 0 && ids && surface->ids == BSQ_IDS_NONE && asked & BAKE_MAPS_ALL)
+    if (status == 0 && ids && surface->ids == FMT_IDS_NONE && asked & BAKE_MAPS_ALL)
         status = bsq_warn_loss(surface->ctx,
                                "the scans do not all have ids of one kind: no map id is baked");
     return status;
@@ -43,7 +44,7 @@ static int warn_of_lost_maps(const struct bake_surface *surface, uint32_t asked)
 /* Finds the maps that `asked` stands for. Errors: BSQ_EDATA in a strict job. */
 static int choose_from(const struct bake_surface *surface, uint32_t asked, uint32_t *out)
 {
-    *out = bake_choose_maps(asked, surface->has_color, surface->ids != BSQ_IDS_NONE);
+    *out = bake_choose_maps(asked, surface->has_color, surface->ids != FMT_IDS_NONE);
     return warn_of_lost_maps(surface, asked);
 }
 
@@ -106,7 +107,7 @@ static int fail_ids(const struct bake_work *job, const char *map)
 {
     const struct bake_scan *scans = job->surface.scans, *lacking = NULL, *other = scans;
     for (const struct bake_scan *s = scans; s < scans + job->surface.scan_count; ++s) {
-        if (s->ids == BSQ_IDS_NONE && !lacking)
+        if (s->ids == FMT_IDS_NONE && !lacking)
             lacking = s;
         if (s->ids != scans->ids && other == scans)
             other = s;
@@ -116,7 +117,7 @@ static int fail_ids(const struct bake_work *job, const char *map)
                         "%s has no ids for the map %s: make it with bisque-voxelize --channels id",
                         lacking->path, map);
     return bsq_fail(job->ctx, BSQ_EDATA, "%s has ids by %s, %s by %s: make both with one --id",
-                    scans->path, bsq_ids_text(scans->ids), other->path, bsq_ids_text(other->ids));
+                    scans->path, fmt_ids_text(scans->ids), other->path, fmt_ids_text(other->ids));
 }
 
 /* Checks that the scans can give a map. Errors: BSQ_EDATA if one lacks something. */
@@ -127,7 +128,7 @@ static int check_map(const struct bake_work *job, unsigned map)
     if (row->needs_color && !surface->has_color)
         return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave %s out of --maps",
                         without_color(surface)->path, bake_map_names[map]);
-    return row->needs_ids && surface->ids == BSQ_IDS_NONE ? fail_ids(job, bake_map_names[map]) : 0;
+    return row->needs_ids && surface->ids == FMT_IDS_NONE ? fail_ids(job, bake_map_names[map]) : 0;
 }
 
 /* Chooses the maps, after the scan was opened. */
@@ -292,7 +293,7 @@ static int note_inputs(struct bsq_ctx *ctx, const struct bake_options *options)
         BSQ_TRY(bsq_note_input(ctx, options->cage_path, "the cage"));
     for (uint32_t i = 0; i < options->transfer_count; i++)
         if (options->transfers[i].texture_path)
-            BSQ_TRY(bsq_note_texture(ctx, options->transfers[i].texture_path, "the texture %s",
+            BSQ_TRY(fmt_note_texture(ctx, options->transfers[i].texture_path, "the texture %s",
                                      options->transfers[i].name));
 done:
     return status;

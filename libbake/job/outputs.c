@@ -6,7 +6,7 @@
 
 #include "base/context.h"
 #include "base/file.h"
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "base/output.h"
 #include "base/sort_array.h"
 #include "libbake/job/job.h"
@@ -64,7 +64,7 @@ static struct bake_traced traced_of(const struct bake_work *job)
                                  .back = job->report->back,
                                  .sampling = sampling_of(job),
                                  .scans = job->scan_names,
-                                 .ids = bsq_ids_text(job->surface.ids)};
+                                 .ids = fmt_ids_text(job->surface.ids)};
     memcpy(traced.scan_min, job->surface.scan_min, sizeof traced.scan_min);
     memcpy(traced.scan_max, job->surface.scan_max, sizeof traced.scan_max);
     memcpy(traced.image_origin, job->surface.translation, sizeof traced.image_origin);

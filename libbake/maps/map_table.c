@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "base/geometry/vec.h"
 
 /* Makes samples from 0 to 1 stand for values from -range to range. */
@@ -424,8 +424,8 @@ const struct bake_map_row *bake_row_of(const struct bake_options *options, unsig
         return &bake_map_table[number];
     if (pack_of(options, number))
         return &pack_rows[bake_unpack(options, pack_of(options, number), packed) == 4];
-    const struct bsq_channel *channel =
-        bsq_channel_find(options->transfers[number - BK_MAP_COUNT].name);
+    const struct fmt_channel *channel =
+        fmt_channel_find(options->transfers[number - BK_MAP_COUNT].name);
     return &transfer_rows[channel->color][channel->values == 3];
 }
 

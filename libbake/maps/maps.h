@@ -54,7 +54,7 @@ struct bake_traced {
     const char *sampling;            /* "trilinear", "nearest" or "exact" */
     double scan_min[3], scan_max[3]; /* bounds of the scan, world */
     const char *scans;               /* the names of several scans; NULL: there is one */
-    const char *ids;                 /* what ids tell apart, see bsq_ids_text() */
+    const char *ids;                 /* what ids tell apart, see fmt_ids_text() */
     double image_origin[3];          /* world position that the image's positions are relative to */
 };
 

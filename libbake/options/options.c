@@ -5,7 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/channels.h"
+#include "formats/material/channels.h"
 
 /* ---- what options need to have an effect ---- */
 
@@ -350,7 +350,7 @@ static int check_mask(struct bsq_ctx *ctx, const struct bake_options *options)
     for (uint32_t i = 0; i < options->transfer_count; ++i) {
         const struct bake_transfer *transfer = &options->transfers[i];
         count += transfer->in_mask;
-        if (transfer->in_mask && bsq_channel_find(transfer->name)->values != 1)
+        if (transfer->in_mask && fmt_channel_find(transfer->name)->values != 1)
             return bsq_fail(ctx, BSQ_EUSAGE, "the mask needs one value of %s, which has three",
                             transfer->name);
     }
@@ -369,18 +369,18 @@ static int check_transfers(struct bsq_ctx *ctx, const struct bake_options *optio
                         options->transfer_count, BAKE_MAX_TRANSFERS);
     for (uint32_t i = 0; i < options->transfer_count; ++i) {
         const struct bake_transfer *transfer = &options->transfers[i];
-        if (!bsq_is_channel_name(transfer->name))
+        if (!fmt_is_channel_name(transfer->name))
             return bsq_fail(ctx, BSQ_EUSAGE,
                             "\"%s\" cannot be a transfer map: names have lower-case letters, "
                             "digits and _, with a letter first",
                             transfer->name);
-        if (strcmp(transfer->name, BSQ_CHANNEL_NORMAL_MAP) == 0)
+        if (strcmp(transfer->name, FMT_CHANNEL_NORMAL_MAP) == 0)
             return bsq_fail(
                 ctx, BSQ_EUSAGE,
                 "transfer map %s: directions in tangent space cannot be transferred; the "
                 "map normal contains them",
                 transfer->name);
-        if (bsq_is_map_name(transfer->name))
+        if (fmt_is_map_name(transfer->name))
             return bsq_fail(ctx, BSQ_EUSAGE, "transfer map %s: there is another map of this name",
                             transfer->name);
         for (uint32_t j = 0; j < i; ++j)
@@ -410,7 +410,7 @@ static int check_packs(struct bsq_ctx *ctx, const struct bake_options *options)
         const struct bake_pack *pack = &options->packs[p];
         struct bake_packed packed[BAKE_MAX_PACKED];
         const unsigned count = bake_unpack(options, pack, packed);
-        bool twice = bsq_is_map_name(pack->name) || !bsq_is_channel_name(pack->name);
+        bool twice = fmt_is_map_name(pack->name) || !fmt_is_channel_name(pack->name);
         for (uint32_t i = 0; i < options->transfer_count; i++)
             twice |= strcmp(options->transfers[i].name, pack->name) == 0;
         for (uint32_t i = 0; i < p; i++)

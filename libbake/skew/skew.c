@@ -49,7 +49,7 @@ int bake_skew_open(struct bsq_ctx *ctx, const char *path, const uint32_t *tiles,
 int bake_skew_sample(const struct bake_skew_image *image, float u, float v, float du, float dv,
                      uint32_t *out)
 {
-    static const uint8_t wrap[2] = {BSQ_WRAP_CLAMP, BSQ_WRAP_CLAMP};
+    static const uint8_t wrap[2] = {FMT_WRAP_CLAMP, FMT_WRAP_CLAMP};
     float rgb[3];
     int status = fmt_texture_sample(image->textures, image->number, wrap, u, v, du, dv, rgb);
     const float value = rgb[0] > 0 ? fminf(rgb[0], 1.0F) : 0; /* not a number: 0 */

@@ -8,7 +8,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "formats/file_kind.h"
 
 enum { DETAILS = 2048 /* along the longest side of a scan: the usual resolution of a grid */ };
@@ -31,7 +31,7 @@ static int open_grid(struct bake_scan *scan, const struct bake_options *options)
         return status;
     status = bake_check_grid(scan->ctx, &scan->grid);
     if (status == 0 && scan->grid.channels)
-        status = bsq_channel_list_split(scan->ctx, scan->grid.channel_list,
+        status = fmt_channel_list_split(scan->ctx, scan->grid.channel_list,
                                         scan->grid.channel_list_bytes, &scan->own_channels,
                                         &scan->channel_count);
     if (status < 0) {
@@ -146,7 +146,7 @@ static void join_scans(struct bake_surface *surface)
         surface->triangles |= scan->exact != NULL;
         surface->has_color &= scan->has_color;
         if (scan->ids != surface->ids)
-            surface->ids = BSQ_IDS_NONE;
+            surface->ids = FMT_IDS_NONE;
         surface->detail = fmax(surface->detail, scan->detail);
         for (int k = 0; k < 3; k++) {
             surface->scan_min[k] = fmin(surface->scan_min[k], scan->scan_min[k]);

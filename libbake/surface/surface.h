@@ -21,7 +21,7 @@ struct bake_scan {
     char **own_channels;       /* their memory if the scan is a grid */
     uint32_t channel_count;
     bool has_color;
-    enum bsq_ids ids;
+    enum fmt_ids ids;
     double scan_min[3], scan_max[3]; /* world */
     /* Index space, where rays are: (world - translation) / unit. For triangles, unit is 1. */
     double translation[3], unit;
@@ -38,7 +38,7 @@ struct bake_surface {
     const char **joined;             /* all paths, if several chunk files are one scan; else NULL */
     bool grids, triangles;           /* there are such scans */
     bool has_color;                  /* all scans have */
-    enum bsq_ids ids;                /* BSQ_IDS_NONE unless all scans agree */
+    enum fmt_ids ids;                /* FMT_IDS_NONE unless all scans agree */
     double scan_min[3], scan_max[3]; /* world */
     double translation[3], unit;     /* of the index space in which rays are given */
     double detail;                   /* the coarsest */

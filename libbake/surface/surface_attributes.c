@@ -3,7 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "base/context.h"
 #include "base/sort_array.h"
 #include "formats/shading/shading.h"
@@ -29,7 +29,7 @@ int bake_surface_list_channels(const struct bake_surface *surface,
         for (uint32_t c = 0; c < surface->scans[s].channel_count && status == 0; c++) {
             const char *name = surface->scans[s].channels[c];
             /* A normal map belongs to the scan's normals. */
-            if (strcmp(name, BSQ_CHANNEL_NORMAL_MAP) == 0 || scans_with(surface, s, name) > 0)
+            if (strcmp(name, FMT_CHANNEL_NORMAL_MAP) == 0 || scans_with(surface, s, name) > 0)
                 continue;
             if (scans_with(surface, surface->scan_count, name) == surface->scan_count)
                 status = fn(arg, name);
@@ -51,9 +51,9 @@ static int attributes_find_channel(const struct bake_scan *scan,
     const struct fmt_nvdb_grid *grid = &scan->grid;
     const char *name = transfer->name, *texture = transfer->texture_path;
     uint32_t first = 0;
-    const struct bsq_channel *channel =
+    const struct fmt_channel *channel =
         grid->channels
-            ? bsq_channel_list_find(grid->channel_list, grid->channel_list_bytes, name, &first)
+            ? fmt_channel_list_find(grid->channel_list, grid->channel_list_bytes, name, &first)
             : NULL;
     if (texture)
         return bsq_fail(scan->ctx, BSQ_EDATA,
@@ -153,7 +153,7 @@ static bool attributes_reserve(struct id_names *list)
 static int attributes_add_name(void *arg, const char *name)
 {
     struct id_names *list = arg;
-    const uint32_t id = bsq_name_id(name);
+    const uint32_t id = fmt_name_id(name);
     char *copy = attributes_reserve(list) ? strdup(name) : NULL;
     if (!copy)
         return bsq_fail(list->ctx, BSQ_ENOMEM, "no memory for the names of ids");
@@ -198,8 +198,8 @@ int bake_surface_report_ids(const struct bake_surface *surface, struct bake_repo
 {
     struct id_names list = {.ctx = surface->ctx, .report = report};
     int status = 0;
-    report->id_source = bsq_ids_text(surface->ids);
-    if (surface->ids == BSQ_IDS_COLOR)
+    report->id_source = fmt_ids_text(surface->ids);
+    if (surface->ids == FMT_IDS_COLOR)
         return 0;
     for (uint32_t s = 0; s < surface->scan_count && status == 0; s++)
         status = name_scan(&list, &surface->scans[s]);

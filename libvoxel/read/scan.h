@@ -163,13 +163,13 @@ struct scan {
 
     /* Filled by vox_scan_find_materials(). */
     uint32_t attributes; /* of enum fmt_tris_attribute */
-    enum bsq_ids ids;
+    enum fmt_ids ids;
     uint32_t material_count;
     struct fmt_tris_material *materials;
     bool lost_colors;     /* all textures of colour are missing, and there are no other colours */
     bool *found_channels; /* of each channel: some material has it */
     uint32_t
-        unkept; /* bits by bsq_channel_at(): materials have it, and the scan does not keep it */
+        unkept; /* bits by fmt_channel_at(): materials have it, and the scan does not keep it */
     /* For usemtl number i: material of triangles with texture coordinates at 2 i, of those without
      * at 2 i + 1; the last pair is for faces before any usemtl. UINT32_MAX: none. */
     uint32_t *material_map;
@@ -224,8 +224,8 @@ int vox_textures_preview(struct bsq_ctx *ctx, struct fmt_mesh_reader *reader,
                          struct scan_textures *textures);
 /* Notes the textures of materials as inputs, and checks those that have not been checked yet:
  * decodes them once. Materials lose those that cannot be used. */
-int vox_textures_check(struct bsq_ctx *ctx, struct fmt_materials *materials,
-                       bool has_texcoords, struct scan_textures *textures);
+int vox_textures_check(struct bsq_ctx *ctx, struct fmt_materials *materials, bool has_texcoords,
+                       struct scan_textures *textures);
 /* Checks alike a texture of the options, which must be good. */
 int vox_textures_check_image(struct bsq_ctx *ctx, const char *path, struct scan_textures *textures);
 /* If the scan keeps opacity, makes the alpha channels of colour textures the opacity of their
@@ -240,7 +240,7 @@ void vox_textures_free(struct bsq_ctx *ctx, struct scan_textures *textures);
  * ids by colour of a scan without colours. */
 int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
                             const char *texture_path, struct scan_textures *textures,
-                            enum bsq_ids ids);
+                            enum fmt_ids ids);
 
 /* Returns the path of a texture that the chunk file will need, or NULL. in_tiles: one that is
  * several files. */

@@ -3,11 +3,11 @@
  * The table has the materials that faces use and that have a texture or a colour. Texture
  * coordinates are kept if some material has a texture. A textured material has a second entry
  * without texture, for triangles that lack texture coordinates. */
-#include "base/file_extent.h"
+#include "formats/material/file_extent.h"
 #include "base/job_files.h"
 #include "base/context.h"
-#include "base/channels.h"
-#include "base/tile_files.h"
+#include "formats/material/channels.h"
+#include "formats/material/tile_files.h"
 #include "libvoxel/read/scan.h"
 
 #include <errno.h>
@@ -23,9 +23,9 @@
  * errno set if there is none. */
 static char *absolute_path(const char *path)
 {
-    if (!bsq_has_tiles(path))
+    if (!fmt_has_tiles(path))
         return realpath(path, NULL);
-    const size_t folder = bsq_tile_folder(path);
+    const size_t folder = fmt_tile_folder(path);
     char *directory = folder > 0 ? strndup(path, folder) : strdup(".");
     char *real = directory ? realpath(directory, NULL) : NULL, *out = NULL;
     if (real && asprintf(&out, "%s/%s", strcmp(real, "/") == 0 ? "" : real, path + folder) < 0)
@@ -39,8 +39,8 @@ static char *absolute_path(const char *path)
  * of a file keeps the end of its name. */
 static int resolve_texture(struct scan *scan, const char *path, char **out)
 {
-    struct bsq_extent extent;
-    const size_t length = bsq_extent_parse(path, &extent);
+    struct fmt_extent extent;
+    const size_t length = fmt_extent_parse(path, &extent);
     const char *end = length > 0 ? path + length : "";
     char *own = strndup(path, length > 0 ? length : strlen(path));
     char *absolute = own ? absolute_path(own) : NULL;
@@ -142,7 +142,7 @@ static bool has_own_value(const struct fmt_material_channel *channel)
 }
 
 /* Notes the channels of materials that the scan does not keep. Returns those with textures, as bits
- * by bsq_channel_at(). */
+ * by fmt_channel_at(). */
 static uint32_t note_unkept(struct scan *scan, const struct fmt_materials *found)
 {
     uint32_t textured = 0;
@@ -150,7 +150,7 @@ static uint32_t note_unkept(struct scan *scan, const struct fmt_materials *found
         for (uint32_t c = 0; is_used(scan, i) && c < found->list[i].channel_count; c++) {
             const struct fmt_material_channel *channel = &found->list[i].channels[c];
             unsigned row = 0;
-            while (bsq_channel_at(row) && bsq_channel_at(row) != channel->channel)
+            while (fmt_channel_at(row) && fmt_channel_at(row) != channel->channel)
                 row++;
             if (is_kept(scan, channel->channel->name))
                 continue;
@@ -166,10 +166,10 @@ static int warn_of_unkept(struct scan *scan, const struct fmt_materials *found)
 {
     const uint32_t textured = note_unkept(scan, found);
     char names[256] = "";
-    for (unsigned i = 0; bsq_channel_at(i); i++)
+    for (unsigned i = 0; fmt_channel_at(i); i++)
         if (textured >> i & 1)
             snprintf(names + strlen(names), sizeof names - strlen(names), "%s%s",
-                     names[0] ? ", " : "", bsq_channel_at(i)->name);
+                     names[0] ? ", " : "", fmt_channel_at(i)->name);
     return textured == 0 || !scan->tells_unkept
                ? 0
                : bsq_warn_loss(scan->ctx,
@@ -194,7 +194,7 @@ static int add_sources(struct scan *scan, const struct fmt_material *from, bool 
             fmt_material_find_channel(from, scan->channels[c].name);
         const char *path = textured ? channel_texture(scan, from, c) : NULL;
         scan->found_channels[c] |= path || gives_value(scan, own);
-        const struct bsq_channel *channel = bsq_channel_find(scan->channels[c].name);
+        const struct fmt_channel *channel = fmt_channel_find(scan->channels[c].name);
         for (int k = 0; k < 3; k++)
             source->value[k] = own ? own->value[channel->values == 1 ? 0 : k] : channel->usual;
         if (path)
@@ -207,7 +207,7 @@ static int add_sources(struct scan *scan, const struct fmt_material *from, bool 
             source->component = own->component;
             memcpy(source->value, own->factor, sizeof source->value);
         }
-        if (source->component == BSQ_CHANNEL_CUTOUT)
+        if (source->component == FMT_CHANNEL_CUTOUT)
             source->value[0] = source->value[1] = source->value[2] = from->cutoff;
     }
     return status;
@@ -248,13 +248,13 @@ done:
 /* Returns whether ids are names of materials or objects. */
 static bool by_name(const struct scan *scan)
 {
-    return scan->ids == BSQ_IDS_MATERIAL || scan->ids == BSQ_IDS_OBJECT;
+    return scan->ids == FMT_IDS_MATERIAL || scan->ids == FMT_IDS_OBJECT;
 }
 
 /* Returns the name that ids tell a material by, or NULL. */
 static const char *name_of(const struct scan *scan, const struct fmt_material *from)
 {
-    const char *name = scan->ids == BSQ_IDS_OBJECT ? from->object : from->name;
+    const char *name = scan->ids == FMT_IDS_OBJECT ? from->object : from->name;
     return !by_name(scan) ? NULL : name ? name : "";
 }
 
@@ -427,7 +427,7 @@ done:
 /* Checks that the scan has what its ids are to tell apart. */
 static int check_ids(const struct scan *scan)
 {
-    if (scan->ids == BSQ_IDS_COLOR && !scan->has_colors)
+    if (scan->ids == FMT_IDS_COLOR && !scan->has_colors)
         return bsq_fail(scan->ctx, BSQ_EDATA,
                         "%s: no vertex colours: ids need materials or objects", scan->paths[0]);
     return 0;
@@ -440,7 +440,7 @@ static void warn_without_names(const struct scan *scan)
         any |= scan->materials[i].name && scan->materials[i].name[0];
     if (!any)
         bsq_warn(scan->ctx, "%s: no faces with %s: all have the same id", scan->paths[0],
-                 scan->ids == BSQ_IDS_OBJECT ? "objects or groups" : "materials");
+                 scan->ids == FMT_IDS_OBJECT ? "objects or groups" : "materials");
 }
 
 const char *vox_scan_find_texture(const struct scan *scan, bool in_tiles)
@@ -450,7 +450,7 @@ const char *vox_scan_find_texture(const struct scan *scan, bool in_tiles)
         for (uint32_t c = 0; c <= scan->channel_count; c++) {
             const char *path =
                 c == 0 ? material->texture_path : material->sources[c - 1].texture_path;
-            if (path && (!in_tiles || bsq_has_tiles(path)))
+            if (path && (!in_tiles || fmt_has_tiles(path)))
                 return path;
         }
     }
@@ -469,7 +469,7 @@ static int check_channels(const struct scan *scan)
             return bsq_fail(scan->ctx, BSQ_EDATA,
                             "%s: no texture coordinates for the channel %s of %s", scan->paths[0],
                             channel->name, channel->texture_path);
-        const struct bsq_channel *row = bsq_channel_find(channel->name);
+        const struct fmt_channel *row = fmt_channel_find(channel->name);
         if (row->name[0] == '\0')
             return bsq_fail(scan->ctx, BSQ_EDATA,
                             "%s: materials have no channel %s: give its image, as %s=FILE",
@@ -495,7 +495,7 @@ static void note_material_colors(struct scan *scan)
 
 int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
                             const char *texture_path, struct scan_textures *textures,
-                            enum bsq_ids ids)
+                            enum fmt_ids ids)
 {
     int status;
     scan->ids = ids;

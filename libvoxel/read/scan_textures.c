@@ -2,10 +2,10 @@
  *
  * Users should learn of a damaged texture before hours of work. A texture that cannot be used is a
  * warning, and its material goes without it. */
-#include "base/file_extent.h"
+#include "formats/material/file_extent.h"
 #include "base/job_files.h"
 #include "base/context.h"
-#include "base/tile_files.h"
+#include "formats/material/tile_files.h"
 #include "formats/texture/texture.h"
 #include "libvoxel/read/scan.h"
 
@@ -60,23 +60,23 @@ static int warn_bad(struct bsq_ctx *ctx, struct scan_texture *texture, const cha
 /* Checks that there is a tile of a texture. */
 static int check_tiles(struct bsq_ctx *ctx, const char *path, struct scan_texture *texture)
 {
-    struct bsq_tile_files tiles = {0};
-    int status = bsq_tile_files_find(ctx, path, &tiles);
+    struct fmt_tile_files tiles = {0};
+    int status = fmt_tile_files_find(ctx, path, &tiles);
     if (status == 0 && tiles.count == 0)
         status = warn_bad(ctx, texture, path, ": no tile of this texture exists");
-    bsq_tile_files_free(ctx, &tiles);
+    fmt_tile_files_free(ctx, &tiles);
     return status;
 }
 
 /* Checks what the file system says of the texture. That of the options was noted as an input. */
 static int check_file(struct bsq_ctx *ctx, const char *path, struct scan_texture *texture)
 {
-    struct bsq_extent extent;
+    struct fmt_extent extent;
     struct stat info;
     texture->good = true;
-    if (!texture->first || bsq_extent_parse(path, &extent) > 0)
+    if (!texture->first || fmt_extent_parse(path, &extent) > 0)
         return 0;
-    if (bsq_has_tiles(path))
+    if (fmt_has_tiles(path))
         return check_tiles(ctx, path, texture);
     if (stat(path, &info))
         return warn_bad(ctx, texture, path, ": no such texture");
@@ -159,7 +159,7 @@ static int enter_material(struct bsq_ctx *ctx, struct fmt_material *material, bo
     for (uint32_t c = 0; c <= material->channel_count; c++) {
         const struct fmt_material_channel *channel = textured_channel(textures, material, c);
         if (channel && channel->texture_place)
-            BSQ_TRY(bsq_note_texture(ctx, channel->texture_path, "the texture that %s names",
+            BSQ_TRY(fmt_note_texture(ctx, channel->texture_path, "the texture that %s names",
                                      channel->texture_place));
         if (channel && has_texcoords)
             BSQ_TRY(enter(ctx, textures, channel->texture_path, material, channel->texture_place));
@@ -198,7 +198,7 @@ done:
 int vox_textures_check_image(struct bsq_ctx *ctx, const char *path, struct scan_textures *textures)
 {
     int status;
-    BSQ_TRY(bsq_note_texture(ctx, path, "the texture"));
+    BSQ_TRY(fmt_note_texture(ctx, path, "the texture"));
     BSQ_TRY(enter(ctx, textures, path, NULL, NULL));
     status = check_new(ctx, textures);
 done:
@@ -258,11 +258,11 @@ done:
 
 /* Returns the channel that the alpha of a colour texture gives, if the scan keeps it and no image
  * of the options gives it; else NULL. */
-static const struct bsq_channel *wanted_channel(const struct scan *scan)
+static const struct fmt_channel *wanted_channel(const struct scan *scan)
 {
     for (uint32_t c = 0; c < scan->channel_count; c++) {
-        const struct bsq_channel *channel = bsq_channel_find(scan->channels[c].name);
-        if (channel->component == BSQ_CHANNEL_ALPHA && !scan->channels[c].texture_path)
+        const struct fmt_channel *channel = fmt_channel_find(scan->channels[c].name);
+        if (channel->component == FMT_CHANNEL_ALPHA && !scan->channels[c].texture_path)
             return channel;
     }
     return NULL;
@@ -270,8 +270,8 @@ static const struct bsq_channel *wanted_channel(const struct scan *scan)
 
 /* Makes the alpha of a texture a channel of the material, unless that has another texture of it.
  * Sets *lost to the material if it also has a value, which is not multiplied. */
-static int add_alpha(struct bsq_ctx *ctx, const struct bsq_channel *channel, const char *path,
-                     const struct bsq_uv *uv, struct fmt_material *material,
+static int add_alpha(struct bsq_ctx *ctx, const struct fmt_channel *channel, const char *path,
+                     const struct fmt_uv *uv, struct fmt_material *material,
                      const struct fmt_material **lost)
 {
     struct fmt_material_channel *entry;
@@ -283,7 +283,7 @@ static int add_alpha(struct bsq_ctx *ctx, const struct bsq_channel *channel, con
         return status;
     if (entry->has_value && entry->value[0] != entry->factor[0] && !material->cutout)
         *lost = material;
-    entry->component = material->cutout ? BSQ_CHANNEL_CUTOUT : BSQ_CHANNEL_ALPHA;
+    entry->component = material->cutout ? FMT_CHANNEL_CUTOUT : FMT_CHANNEL_ALPHA;
     entry->uv = *uv;
     return 0;
 }
@@ -291,8 +291,8 @@ static int add_alpha(struct bsq_ctx *ctx, const struct bsq_channel *channel, con
 int vox_textures_use_alpha(struct scan *scan, const struct scan_textures *textures,
                            const char *path, struct fmt_materials *materials)
 {
-    static const struct bsq_uv unmoved = {0};
-    const struct bsq_channel *channel = wanted_channel(scan);
+    static const struct fmt_uv unmoved = {0};
+    const struct fmt_channel *channel = wanted_channel(scan);
     const struct fmt_material *lost = NULL;
     int status = 0;
     for (uint32_t i = 0; i < materials->count && channel && scan_count(scan, SCAN_TEXCOORDS) > 0;

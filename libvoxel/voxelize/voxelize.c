@@ -5,7 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "base/context.h"
 #include "base/job_files.h"
 #include "base/text.h"
@@ -37,7 +37,7 @@ static uint64_t min64(uint64_t a, uint64_t b)
 static uint32_t channel_values(const struct vox_run *run)
 {
     const char *list = run->channels;
-    return list ? bsq_channel_list_values(list, strlen(list)) : 0;
+    return list ? fmt_channel_list_values(list, strlen(list)) : 0;
 }
 
 /* Returns what accumulators sum, as vox_accumulator_create() takes it. */
@@ -103,7 +103,7 @@ static int list_channels(struct vox_run *run)
         bytes += strlen(header->channels[c]) + 1;
     int status = bsq_calloc(run->ctx, "channels", bytes, 1, &run->channels);
     for (uint32_t c = 0; c < header->channel_count && status == 0; c++)
-        if (strcmp(header->channels[c], BSQ_CHANNEL_NORMAL_MAP) != 0)
+        if (strcmp(header->channels[c], FMT_CHANNEL_NORMAL_MAP) != 0)
             at += (uint64_t)sprintf(run->channels + at, "%s%s", at > 0 ? "," : "",
                                     header->channels[c]);
     if (status == 0 && at == 0) {
@@ -128,9 +128,9 @@ static int voxelize_check_channels(const struct vox_run *run)
     uint32_t first;
     if (list && channel_values(run) == 0)
         return bsq_fail(run->ctx, BSQ_EUSAGE, "\"%.60s\" cannot be channels", list);
-    if (list && bsq_channel_list_find(list, strlen(list), BSQ_CHANNEL_NORMAL_MAP, &first))
+    if (list && fmt_channel_list_find(list, strlen(list), FMT_CHANNEL_NORMAL_MAP, &first))
         return bsq_fail(run->ctx, BSQ_EUSAGE,
-                        "grids have no channel " BSQ_CHANNEL_NORMAL_MAP
+                        "grids have no channel " FMT_CHANNEL_NORMAL_MAP
                         ": their normals contain it");
     return 0;
 }
@@ -245,7 +245,7 @@ static int add_channels(const struct vox_run *run, struct fmt_shading *shading)
     const char *list = run->channels;
     char **names;
     uint32_t count;
-    int status = bsq_channel_list_split(run->ctx, list, strlen(list), &names, &count);
+    int status = fmt_channel_list_split(run->ctx, list, strlen(list), &names, &count);
     for (uint32_t i = 0; i < count && status == 0; i++) {
         status = fmt_shading_add_channel(shading, names[i], NULL);
         for (uint32_t k = 0; k < i && status == 0; k++)
@@ -338,7 +338,7 @@ static int create_grid(struct vox_run *run)
         .type = run->options->grid_type == VOX_GRID_ONINDEX ? FMT_NVDB_ONINDEX : FMT_NVDB_MASK,
         .voxel_size = transform->h,
         .has_color = fmt_tris_has_color(run->header),
-        .ids = run->options->ids ? run->header->ids : BSQ_IDS_NONE,
+        .ids = run->options->ids ? run->header->ids : FMT_IDS_NONE,
         .channels = run->channels,
         .source_triangles = run->header->triangle_count,
     };
@@ -348,7 +348,7 @@ static int create_grid(struct vox_run *run)
         info.scan_max[a] = transform->origin[a] + (double)run->header->bounds_max[a];
     }
     int status = fmt_nvdb_create(run->ctx, run->options->grid_path, &info, &run->writer);
-    return status == 0 && info.ids != BSQ_IDS_NONE && info.ids != BSQ_IDS_COLOR ? name_ids(run)
+    return status == 0 && info.ids != FMT_IDS_NONE && info.ids != FMT_IDS_COLOR ? name_ids(run)
                                                                                 : status;
 }
 

@@ -38,12 +38,12 @@ static void add_u64(struct reading *r, uint64_t value)
 
 /* ---- chunk files ---- */
 
-static uint32_t wrap_bits(const struct bsq_uv *uv)
+static uint32_t wrap_bits(const struct fmt_uv *uv)
 {
     return (uint32_t)(uv->wrap[0] | uv->wrap[1] << 2 | uv->srgb << 4) << 8;
 }
 
-static void add_uv(struct reading *r, const struct bsq_uv *uv)
+static void add_uv(struct reading *r, const struct fmt_uv *uv)
 {
     add(r, uv->scale, sizeof uv->scale);
     add(r, uv->offset, sizeof uv->offset);

@@ -9,7 +9,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/channels.h"
+#include "base/srgb.h"
 
 /* A second record below this share of the first one's area is noise. */
 static const double second_share = 0.01;

@@ -162,7 +162,7 @@ TEST(sections_of_the_largest_grid_do_not_wrap)
     uint64_t u = UINT32_MAX, l = UINT32_MAX, f = UINT32_MAX, v = 512 * f, s = UINT32_MAX,
              n = 1 + v + s, names = (UINT64_C(1) << 61) - 1, words = 65535;
     struct nvdb_counts counts = {.type = FMT_NVDB_ONINDEX,
-                                 .flags = nvdb_flags(true, BSQ_IDS_MATERIAL, true),
+                                 .flags = nvdb_flags(true, FMT_IDS_MATERIAL, true),
                                  .uppers = UINT32_MAX,
                                  .lowers = UINT32_MAX,
                                  .leaves = UINT32_MAX,

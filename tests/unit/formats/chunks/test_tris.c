@@ -282,7 +282,7 @@ FIXTURE_TEST(names_of_ids_come_back)
     uint8_t *bytes = tris_write_ids(f, &size);
     assert_int_equal(fmt_tris_open(f->ctx, tris_path, &file), 0);
     const struct fmt_tris_header *h = fmt_tris_get_header(file);
-    assert_int_equal(h->ids, BSQ_IDS_OBJECT);
+    assert_int_equal(h->ids, FMT_IDS_OBJECT);
     assert_int_equal(h->material_count, 3);
     for (int i = 0; i < 3; i++) {
         assert_string_equal(h->materials[i].name, names[i]);
@@ -300,7 +300,7 @@ FIXTURE_TEST(channels_come_back)
     uint8_t *bytes = tris_write_channels(f, &size);
     assert_int_equal(fmt_tris_open(f->ctx, tris_path, &file), 0);
     const struct fmt_tris_header *h = fmt_tris_get_header(file);
-    assert_int_equal(h->ids, BSQ_IDS_NONE);
+    assert_int_equal(h->ids, FMT_IDS_NONE);
     assert_int_equal(fmt_tris_find_channel(h, "b_2"), 1);
     assert_int_equal(fmt_tris_find_channel(h, "b"), UINT32_MAX);
     const struct fmt_tris_source *first = h->materials[0].sources,
@@ -330,8 +330,8 @@ FIXTURE_TEST(factors_and_wrap_modes_come_back)
         struct fmt_tris_writer *writer;
         struct fmt_tris_file *file;
         source.value[1] = i == 1 ? 0.5f : 1;
-        source.uv.wrap[1] = i == 2 ? BSQ_WRAP_MIRROR : BSQ_WRAP_REPEAT;
-        material.uv.wrap[0] = i == 3 ? BSQ_WRAP_CLAMP : BSQ_WRAP_REPEAT;
+        source.uv.wrap[1] = i == 2 ? FMT_WRAP_MIRROR : FMT_WRAP_REPEAT;
+        material.uv.wrap[0] = i == 3 ? FMT_WRAP_CLAMP : FMT_WRAP_REPEAT;
         material.tinted = i == 4;
         material.uv.srgb = i == 5;
         assert_int_equal(fmt_tris_create(f->ctx, tris_path, &header, &writer), 0);

@@ -108,7 +108,7 @@ uint8_t *tris_write_ids(struct tris_fixture *f, size_t *size)
         {.colorless = true, .name = NULL},
         {.diffuse = {0.5f, 0, 1}, .name = (char *)"gl\xc3\xa4s"}};
     const struct fmt_tris_header header = {
-        .material_count = 3, .materials = materials, .ids = BSQ_IDS_OBJECT};
+        .material_count = 3, .materials = materials, .ids = FMT_IDS_OBJECT};
     struct fmt_tris_writer *writer;
     assert_int_equal(fmt_tris_create(f->ctx, tris_path, &header, &writer), 0);
     assert_int_equal(fmt_tris_commit(writer, NULL), 0);

@@ -5,7 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "tests/unit/formats/grid/nvdb_scene.h"
 #include "tests/grid_lookup.h"
 
@@ -166,7 +166,7 @@ static int append_region(struct fmt_nvdb_writer *writer, const struct scene *sce
     struct fmt_nvdb_record *records = calloc(n, sizeof(*records));
     struct fmt_nvdb_record *second = calloc(n, sizeof(*second));
     const char *list = scene->info.channels;
-    const uint32_t words = list ? bsq_channel_list_values(list, strlen(list)) : 0;
+    const uint32_t words = list ? fmt_channel_list_values(list, strlen(list)) : 0;
     float *channels = calloc(n * words + 1, sizeof *channels);
     float *second_channels = calloc(n * words + 1, sizeof *second_channels);
     struct fmt_nvdb_region region = {

@@ -161,7 +161,7 @@ struct fixture {
 static int open_textures(struct fixture *f, const char *const *paths, uint32_t count,
                          uint64_t cache)
 {
-    f->wrap[0] = f->wrap[1] = BSQ_WRAP_REPEAT;
+    f->wrap[0] = f->wrap[1] = FMT_WRAP_REPEAT;
     struct bsq_ctx_options options = {.threads = 3, .memory_bytes = 256 << 20, .tmpdir = "."};
     struct fmt_texture_source *sources = calloc(count, sizeof *sources);
     assert_non_null(sources);
@@ -233,20 +233,20 @@ TEST(test_wrap_modes)
     for (int texel = -9; texel <= 9; texel++) {
         const double u = (texel + 0.5) / 4;
         const int period = ((texel % 8) + 8) % 8;
-        const double expected[BSQ_WRAPS] = {light[period % 4],
+        const double expected[FMT_WRAPS] = {light[period % 4],
                                             light[texel < 0   ? 0
                                                   : texel > 3 ? 3
                                                               : texel],
                                             light[period < 4 ? period : 7 - period]};
-        for (uint8_t mode = 0; mode < BSQ_WRAPS; mode++) {
+        for (uint8_t mode = 0; mode < FMT_WRAPS; mode++) {
             const double e = expected[mode];
             f.wrap[0] = mode;
             assert_sample(&f, u, 0.5, 0, 0, e, e, e, 1e-6);
         }
     }
     /* At a border, half of a bilinear lookup is of the texel beyond it. */
-    for (uint8_t mode = 0; mode < BSQ_WRAPS; mode++) {
-        const double e = mode == BSQ_WRAP_REPEAT ? 0.5 : 1;
+    for (uint8_t mode = 0; mode < FMT_WRAPS; mode++) {
+        const double e = mode == FMT_WRAP_REPEAT ? 0.5 : 1;
         f.wrap[0] = mode;
         assert_sample(&f, 1, 0.5, 0, 0, e, e, e, 1e-6);
     }

@@ -1,6 +1,6 @@
 /* test_map_table.c - what every row of the table of maps must hold, so that a new map is checked
  * without a test of its own. */
-#include "base/channels.h"
+#include "formats/material/channels.h"
 #include "libbake/maps/map_encode.h"
 #include "tests/unit/test.h"
 
@@ -23,7 +23,7 @@ TEST(test_names_are_unique_words)
         const char *name = bake_map_name(i);
         assert_non_null(name);
         assert_true(name[0] != '\0');
-        assert_true(bsq_is_map_name(name));
+        assert_true(fmt_is_map_name(name));
         assert_int_equal(strspn(name, "abcdefghijklmnopqrstuvwxyz_0123456789"), strlen(name));
         for (unsigned j = 0; j < i; ++j)
             assert_string_not_equal(name, bake_map_name(j));

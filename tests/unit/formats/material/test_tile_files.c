@@ -2,7 +2,7 @@
 #include <fcntl.h>
 #include <sys/stat.h>
 
-#include "base/tile_files.h"
+#include "formats/material/tile_files.h"
 #include "tests/unit/test.h"
 
 static const char *const files[] = {"a.1001.png",
@@ -46,24 +46,24 @@ static int make_files(void **state)
 }
 
 /* Checks that a path has these tiles, by number and file name. */
-static void check_tiles(const char *path, const struct bsq_tile_file *expected, uint64_t count)
+static void check_tiles(const char *path, const struct fmt_tile_file *expected, uint64_t count)
 {
     struct bsq_ctx *ctx = test_context(1, 0);
-    struct bsq_tile_files found = {0};
-    assert_int_equal(bsq_tile_files_find(ctx, path, &found), 0);
+    struct fmt_tile_files found = {0};
+    assert_int_equal(fmt_tile_files_find(ctx, path, &found), 0);
     assert_int_equal(found.count, count);
     for (uint64_t i = 0; i < count; i++) {
         assert_int_equal(found.list[i].number, expected[i].number);
         const char *slash = strrchr(found.list[i].path, '/');
         assert_string_equal(slash ? slash + 1 : found.list[i].path, expected[i].path);
     }
-    bsq_tile_files_free(ctx, &found);
+    fmt_tile_files_free(ctx, &found);
     test_context_end(ctx);
 }
 
 TEST(numbers_of_tiles_are_found)
 {
-    const struct bsq_tile_file udim[] = {
+    const struct fmt_tile_file udim[] = {
         {0, (char *)"a.1001.png"}, {11, (char *)"a.1012.png"}, {8989, (char *)"a.9990.png"}};
     char path[64];
     (void)state;
@@ -77,7 +77,7 @@ TEST(numbers_of_tiles_are_found)
 /* u1_v1 and u01_v1 are one tile: the first by its bytes counts. */
 TEST(places_of_tiles_are_found)
 {
-    const struct bsq_tile_file uvtile[] = {
+    const struct fmt_tile_file uvtile[] = {
         {0, (char *)"a_u01_v1.png"}, {1, (char *)"a_u2_v1.png"}, {19, (char *)"a_u10_v2.png"}};
     (void)state;
     check_tiles("a_<UVTILE>.png", uvtile, 3);
@@ -86,19 +86,19 @@ TEST(places_of_tiles_are_found)
 /* Tokens in names of folders, several tokens of both kinds: all stand for one tile. */
 TEST(tokens_stand_anywhere)
 {
-    const struct bsq_tile_file two[] = {{0, (char *)"1001.1001.png"}, {1, (char *)"1002.1002.png"}};
-    const struct bsq_tile_file three[] = {{2, (char *)"u3_v1.1003.png"}};
+    const struct fmt_tile_file two[] = {{0, (char *)"1001.1001.png"}, {1, (char *)"1002.1002.png"}};
+    const struct fmt_tile_file three[] = {{2, (char *)"u3_v1.1003.png"}};
     char path[96];
     (void)state;
     check_tiles("t<UDIM>/c/<UDIM>.<UDIM>.png", two, 2);
     check_tiles("./t<UDIM>//c/<UVTILE>.<UDIM>.png", three, 1);
     snprintf(path, sizeof path, "%s/t<UDIM>/c/<UDIM>.<UDIM>.png", test_directory);
     check_tiles(path, two, 2);
-    assert_int_equal(bsq_tile_folder(path), strlen(test_directory) + 1);
+    assert_int_equal(fmt_tile_folder(path), strlen(test_directory) + 1);
     check_tiles("t<UDIM>/none/<UDIM>.png", NULL, 0);
     check_tiles(
         "t<UDIM>/c/1002.1002.png",
-        (struct bsq_tile_file[]){{1, (char *)"1002.1002.png"}, {2, (char *)"1002.1002.png"}}, 2);
+        (struct fmt_tile_file[]){{1, (char *)"1002.1002.png"}, {2, (char *)"1002.1002.png"}}, 2);
 }
 
 TEST(folders_and_fifos_are_no_tiles)
@@ -108,11 +108,11 @@ TEST(folders_and_fifos_are_no_tiles)
 
 TEST(only_names_with_a_token_have_tiles)
 {
-    assert_true(bsq_has_tiles("x/a.<UDIM>.png"));
-    assert_true(bsq_has_tiles("<UVTILE>"));
-    assert_false(bsq_has_tiles("a.1001.png"));
-    assert_true(bsq_has_tiles("<UDIM>/a.png"));
-    assert_false(bsq_has_tiles("a.<udim>.png"));
+    assert_true(fmt_has_tiles("x/a.<UDIM>.png"));
+    assert_true(fmt_has_tiles("<UVTILE>"));
+    assert_false(fmt_has_tiles("a.1001.png"));
+    assert_true(fmt_has_tiles("<UDIM>/a.png"));
+    assert_false(fmt_has_tiles("a.<udim>.png"));
 }
 
 RUN_TESTS(make_files, NULL)

@@ -1,5 +1,5 @@
 /* channels.c - see channels.h. */
-#include "base/channels.h"
+#include "formats/material/channels.h"
 
 #include <string.h>
 
@@ -13,7 +13,7 @@
 #define PBR  "pbrMetallicRoughness"
 #define COAT "KHR_materials_clearcoat"
 
-static const struct bsq_channel channels[] = {
+static const struct fmt_channel channels[] = {
     {DATA("roughness", "map_Pr", "Pr"),
      .gltf = {PBR, "metallicRoughnessTexture", "roughnessFactor", 1, 1}},
     {DATA("metallic", "map_Pm", "Pm"),
@@ -26,13 +26,13 @@ static const struct bsq_channel channels[] = {
     {DATA("anisotropy", "map_aniso", "aniso")},
     {DATA("anisotropy_rotation", "map_anisor", "anisor")},
     {DATA("shininess", "map_Ns", NULL)},
-    {DATA("opacity", "map_d", "d"), .mtl_inverse = "Tr", .component = BSQ_CHANNEL_ALPHA,
+    {DATA("opacity", "map_d", "d"), .mtl_inverse = "Tr", .component = FMT_CHANNEL_ALPHA,
      .usual = 1},
     {DATA("occlusion", "map_ao", NULL), .neutral = 1, .gltf = {"", "occlusionTexture", NULL, 0, 1}},
     {DATA("displacement", "disp", NULL)},
     {COLOR("specular", "map_Ks", "Ks")},
     {COLOR("emission", "map_Ke", "Ke"), .gltf = {"", "emissiveTexture", "emissiveFactor", 0, 0}},
-    {.name = BSQ_CHANNEL_NORMAL_MAP,
+    {.name = FMT_CHANNEL_NORMAL_MAP,
      .values = 3,
      .mtl_map = "norm",
      .neutral = 0.5f,
@@ -40,22 +40,22 @@ static const struct bsq_channel channels[] = {
 };
 enum { CHANNELS = sizeof channels / sizeof *channels };
 
-const struct bsq_channel *bsq_channel_at(unsigned number)
+const struct fmt_channel *fmt_channel_at(unsigned number)
 {
     return number < CHANNELS ? &channels[number] : NULL;
 }
 
 /* Finds the row of a name of `length` bytes. */
-static const struct bsq_channel *channel_find(const char *name, uint64_t length)
+static const struct fmt_channel *channel_find(const char *name, uint64_t length)
 {
-    static const struct bsq_channel other = {.name = "", .values = 3};
+    static const struct fmt_channel other = {.name = "", .values = 3};
     for (unsigned i = 0; i < CHANNELS; i++)
         if (strlen(channels[i].name) == length && memcmp(channels[i].name, name, length) == 0)
             return &channels[i];
     return &other;
 }
 
-const struct bsq_channel *bsq_channel_find(const char *name)
+const struct fmt_channel *fmt_channel_find(const char *name)
 {
     return channel_find(name, strlen(name));
 }
@@ -69,12 +69,12 @@ static bool is_name(const char *name, uint64_t length)
     return good;
 }
 
-bool bsq_is_channel_name(const char *name)
+bool fmt_is_channel_name(const char *name)
 {
     return is_name(name, strlen(name));
 }
 
-bool bsq_is_map_name(const char *name)
+bool fmt_is_map_name(const char *name)
 {
     static const char *const names[] = {"normal",     "color", "mask",    "height",    "position",
                                         "curvature",  "ao",    "bent",    "thickness", "id",
@@ -92,20 +92,20 @@ static uint64_t channel_name_length(const char *rest, uint64_t bytes)
     return comma ? (uint64_t)(comma - rest) : bytes;
 }
 
-uint32_t bsq_channel_list_values(const char *list, uint64_t bytes)
+uint32_t fmt_channel_list_values(const char *list, uint64_t bytes)
 {
     uint32_t values = 0;
     for (uint64_t at = 0; at <= bytes;) {
         const uint64_t length = channel_name_length(list + at, bytes - at);
         values += channel_find(list + at, length)->values;
-        if (!is_name(list + at, length) || values > BSQ_CHANNEL_VALUES_MAX)
+        if (!is_name(list + at, length) || values > FMT_CHANNEL_VALUES_MAX)
             return 0;
         at += length + 1;
     }
     return values;
 }
 
-int bsq_channel_list_split(struct bsq_ctx *ctx, const char *list, uint64_t bytes, char ***names,
+int fmt_channel_list_split(struct bsq_ctx *ctx, const char *list, uint64_t bytes, char ***names,
                            uint32_t *count)
 {
     uint64_t most = 1;
@@ -122,13 +122,13 @@ int bsq_channel_list_split(struct bsq_ctx *ctx, const char *list, uint64_t bytes
     return 0;
 }
 
-const struct bsq_channel *bsq_channel_list_find(const char *list, uint64_t bytes, const char *name,
+const struct fmt_channel *fmt_channel_list_find(const char *list, uint64_t bytes, const char *name,
                                                 uint32_t *first)
 {
     *first = 0;
     for (uint64_t at = 0; at <= bytes;) {
         const uint64_t length = channel_name_length(list + at, bytes - at);
-        const struct bsq_channel *channel = channel_find(list + at, length);
+        const struct fmt_channel *channel = channel_find(list + at, length);
         if (length == strlen(name) && memcmp(list + at, name, length) == 0)
             return channel;
         *first += channel->values;
@@ -150,7 +150,7 @@ static uint64_t hash_of(const char *name)
     return h ^ h >> 33;
 }
 
-uint32_t bsq_name_id(const char *name)
+uint32_t fmt_name_id(const char *name)
 {
     /* The channels that get the highest, the lowest and the middle value: all six hues. */
     static const uint8_t orders[6][3] = {{0, 1, 2}, {0, 2, 1}, {1, 0, 2},
@@ -163,7 +163,7 @@ uint32_t bsq_name_id(const char *name)
     return 0xff000000u | high << 8 * order[0] | low << 8 * order[1] | middle << 8 * order[2];
 }
 
-const char *bsq_ids_text(enum bsq_ids ids)
+const char *fmt_ids_text(enum fmt_ids ids)
 {
-    return ids == BSQ_IDS_MATERIAL ? "material" : ids == BSQ_IDS_OBJECT ? "object" : "color";
+    return ids == FMT_IDS_MATERIAL ? "material" : ids == FMT_IDS_OBJECT ? "object" : "color";
 }

@@ -1,5 +1,5 @@
 /* tile_files.c - see tile_files.h. */
-#include "base/tile_files.h"
+#include "formats/material/tile_files.h"
 
 #include <dirent.h>
 #include <stdarg.h>
@@ -8,7 +8,7 @@
 #include <string.h>
 #include <sys/stat.h>
 
-#include "base/file_extent.h"
+#include "formats/material/file_extent.h"
 #include "base/job_files.h"
 #include "base/sort_array.h"
 
@@ -36,13 +36,13 @@ static const char *find_component(const char *path)
     return NULL;
 }
 
-bool bsq_has_tiles(const char *path)
+bool fmt_has_tiles(const char *path)
 {
-    struct bsq_extent extent;
-    return find_component(path) != NULL && bsq_extent_parse(path, &extent) == 0;
+    struct fmt_extent extent;
+    return find_component(path) != NULL && fmt_extent_parse(path, &extent) == 0;
 }
 
-size_t bsq_tile_folder(const char *path)
+size_t fmt_tile_folder(const char *path)
 {
     const char *component = find_component(path);
     return component ? (size_t)(component - path) : strlen(path);
@@ -70,8 +70,8 @@ static const char *parse_tile(const char *text, bool is_udim, uint32_t *number)
     }
     at = *text == 'u' ? tile_files_parse_number(text + 1, &u) : NULL;
     at = at && strncmp(at, "_v", 2) == 0 ? tile_files_parse_number(at + 2, &v) : NULL;
-    *number = (u - 1) + BSQ_TILE_COLUMNS * (v - 1);
-    return at && u >= 1 && u <= BSQ_TILE_COLUMNS && v >= 1 && v <= BSQ_TILE_ROWS ? at : NULL;
+    *number = (u - 1) + FMT_TILE_COLUMNS * (v - 1);
+    return at && u >= 1 && u <= FMT_TILE_COLUMNS && v >= 1 && v <= FMT_TILE_ROWS ? at : NULL;
 }
 
 /* A tile while its file is looked for. */
@@ -103,7 +103,7 @@ static bool matches(const char *component, const char *end, const char *name, st
 
 /* Adds a file, if there is a regular one of this path. */
 static int tile_files_add(struct bsq_ctx *ctx, const char *path, uint32_t number,
-                          struct bsq_tile_files *out)
+                          struct fmt_tile_files *out)
 {
     struct stat info;
     if (stat(path, &info) != 0 || !S_ISREG(info.st_mode))
@@ -112,7 +112,7 @@ static int tile_files_add(struct bsq_ctx *ctx, const char *path, uint32_t number
                           &out->capacity);
     if (status < 0)
         return status;
-    struct bsq_tile_file *file = &out->list[out->count];
+    struct fmt_tile_file *file = &out->list[out->count];
     status = bsq_alloc(ctx, "tiles of a texture", strlen(path) + 1, 1, &file->path);
     if (status < 0)
         return status;
@@ -137,13 +137,13 @@ static int tile_files_join(struct bsq_ctx *ctx, const char *path, const char *ne
  * `rest` after that. Calls itself for the entries of a folder that match the next component with a
  * token: at most as deep as folders are. */
 static int find_files(struct bsq_ctx *ctx, const char *folder, const char *rest, struct tile tile,
-                      struct bsq_tile_files *out)
+                      struct fmt_tile_files *out)
 {
     const char *component = find_component(rest);
     char *path = NULL;
     int status = bsq_check(ctx);
     if (status == 0)
-        status = tile_files_join(ctx, folder, rest, bsq_tile_folder(rest), "", &path);
+        status = tile_files_join(ctx, folder, rest, fmt_tile_folder(rest), "", &path);
     if (status == 0 && !component)
         status = tile_files_add(ctx, path, tile.number, out);
     DIR *entries = status == 0 && component ? opendir(*path ? path : ".") : NULL;
@@ -167,12 +167,12 @@ static int find_files(struct bsq_ctx *ctx, const char *folder, const char *rest,
 
 static int compare_files(const void *a, const void *b)
 {
-    const struct bsq_tile_file *x = a, *y = b;
+    const struct fmt_tile_file *x = a, *y = b;
     return x->number != y->number ? (x->number < y->number ? -1 : 1) : strcmp(x->path, y->path);
 }
 
 /* Sorts the files, and keeps one of each tile: u01_v1 and u1_v1 are the same. */
-static void sort_files(struct bsq_ctx *ctx, struct bsq_tile_files *files)
+static void sort_files(struct bsq_ctx *ctx, struct fmt_tile_files *files)
 {
     uint64_t kept = 0;
     bsq_sort(files->list, files->count, sizeof *files->list, compare_files);
@@ -184,26 +184,26 @@ static void sort_files(struct bsq_ctx *ctx, struct bsq_tile_files *files)
     files->count = kept;
 }
 
-int bsq_tile_files_find(struct bsq_ctx *ctx, const char *path, struct bsq_tile_files *out)
+int fmt_tile_files_find(struct bsq_ctx *ctx, const char *path, struct fmt_tile_files *out)
 {
-    int status = bsq_has_tiles(path) ? find_files(ctx, "", path, (struct tile){0}, out) : 0;
+    int status = fmt_has_tiles(path) ? find_files(ctx, "", path, (struct tile){0}, out) : 0;
     sort_files(ctx, out);
     if (status < 0)
-        bsq_tile_files_free(ctx, out);
+        fmt_tile_files_free(ctx, out);
     return status;
 }
 
-void bsq_tile_files_free(struct bsq_ctx *ctx, struct bsq_tile_files *files)
+void fmt_tile_files_free(struct bsq_ctx *ctx, struct fmt_tile_files *files)
 {
     for (uint64_t i = 0; i < files->count; i++)
         bsq_free(ctx, files->list[i].path);
     bsq_free(ctx, files->list);
-    *files = (struct bsq_tile_files){0};
+    *files = (struct fmt_tile_files){0};
 }
 
-int bsq_note_texture(struct bsq_ctx *ctx, const char *path, const char *format, ...)
+int fmt_note_texture(struct bsq_ctx *ctx, const char *path, const char *format, ...)
 {
-    struct bsq_tile_files tiles = {0};
+    struct fmt_tile_files tiles = {0};
     char *role = NULL;
     va_list arguments;
     va_start(arguments, format);
@@ -211,11 +211,11 @@ int bsq_note_texture(struct bsq_ctx *ctx, const char *path, const char *format, 
     va_end(arguments);
     if (length < 0)
         return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", path);
-    int status = bsq_has_tiles(path) ? bsq_tile_files_find(ctx, path, &tiles)
+    int status = fmt_has_tiles(path) ? fmt_tile_files_find(ctx, path, &tiles)
                                      : bsq_note_input(ctx, path, "%s", role);
     for (uint64_t i = 0; i < tiles.count && status == 0; i++)
         status = bsq_note_input(ctx, tiles.list[i].path, "%s", role);
-    bsq_tile_files_free(ctx, &tiles);
+    fmt_tile_files_free(ctx, &tiles);
     free(role);
     return status;
 }

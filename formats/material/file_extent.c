@@ -1,5 +1,5 @@
 /* file_extent.c - see file_extent.h. */
-#include "base/file_extent.h"
+#include "formats/material/file_extent.h"
 
 #include <inttypes.h>
 #include <stdio.h>
@@ -23,9 +23,9 @@ static bool read_number(const char **text, uint64_t *out)
 }
 
 /* Reads "#bytes=OFFSET+SIZE" or "#base64=OFFSET,FIRST+SIZE", up to the end of the text. */
-static bool read_range(const char *text, struct bsq_extent *out)
+static bool read_range(const char *text, struct fmt_extent *out)
 {
-    *out = (struct bsq_extent){.base64 = strncmp(text, "#base64=", 8) == 0};
+    *out = (struct fmt_extent){.base64 = strncmp(text, "#base64=", 8) == 0};
     if (!out->base64 && strncmp(text, "#bytes=", 7) != 0)
         return false;
     text += out->base64 ? 8 : 7;
@@ -38,7 +38,7 @@ static bool read_range(const char *text, struct bsq_extent *out)
            out->offset <= INT64_MAX / 4;
 }
 
-size_t bsq_extent_parse(const char *name, struct bsq_extent *out)
+size_t fmt_extent_parse(const char *name, struct fmt_extent *out)
 {
     const char *mark = strrchr(name, '#');
     if (!mark || mark == name || !read_range(mark, out) || access(name, F_OK) == 0)
@@ -46,7 +46,7 @@ size_t bsq_extent_parse(const char *name, struct bsq_extent *out)
     return (size_t)(mark - name);
 }
 
-int bsq_extent_name(struct bsq_ctx *ctx, const char *path, const struct bsq_extent *extent,
+int fmt_extent_name(struct bsq_ctx *ctx, const char *path, const struct fmt_extent *extent,
                     char **out)
 {
     const size_t size = strlen(path) + sizeof "#base64=,+" + 3 * 20;
@@ -127,8 +127,8 @@ static int fail_base64(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_
                                              : "malformed base64");
 }
 
-int bsq_extent_read(struct bsq_ctx *ctx, const struct bsq_file *file,
-                    const struct bsq_extent *extent, void *to, uint64_t size, uint64_t at)
+int fmt_extent_read(struct bsq_ctx *ctx, const struct bsq_file *file,
+                    const struct fmt_extent *extent, void *to, uint64_t size, uint64_t at)
 {
     if (!extent->base64)
         return bsq_file_read(ctx, file, to, size, extent->offset + extent->first + at);
@@ -150,14 +150,14 @@ int bsq_extent_read(struct bsq_ctx *ctx, const struct bsq_file *file,
 
 /* ---- copies ---- */
 
-int bsq_extent_open(struct bsq_ctx *ctx, const char *name, struct bsq_extent *extent,
+int fmt_extent_open(struct bsq_ctx *ctx, const char *name, struct fmt_extent *extent,
                     struct bsq_file *out)
 {
-    const size_t length = bsq_extent_parse(name, extent);
+    const size_t length = fmt_extent_parse(name, extent);
     char *path = NULL;
     if (length == 0) {
         int status = bsq_file_open(ctx, name, out);
-        *extent = (struct bsq_extent){.size = out->size};
+        *extent = (struct fmt_extent){.size = out->size};
         return status;
     }
     *out = (struct bsq_file)BSQ_FILE_CLOSED;
@@ -171,8 +171,8 @@ int bsq_extent_open(struct bsq_ctx *ctx, const char *name, struct bsq_extent *ex
     return status;
 }
 
-int bsq_extent_extract(struct bsq_ctx *ctx, const struct bsq_file *file,
-                       const struct bsq_extent *extent, struct bsq_file *out)
+int fmt_extent_extract(struct bsq_ctx *ctx, const struct bsq_file *file,
+                       const struct fmt_extent *extent, struct bsq_file *out)
 {
     uint8_t buffer[16384];
     int status;
@@ -182,7 +182,7 @@ int bsq_extent_extract(struct bsq_ctx *ctx, const struct bsq_file *file,
     for (uint64_t at = 0; at < extent->size; at += sizeof buffer) {
         uint64_t left = extent->size - at, size = left < sizeof buffer ? left : sizeof buffer;
         BSQ_TRY(bsq_check(ctx));
-        BSQ_TRY(bsq_extent_read(ctx, file, extent, buffer, size, at));
+        BSQ_TRY(fmt_extent_read(ctx, file, extent, buffer, size, at));
         BSQ_TRY(bsq_file_append(ctx, out, buffer, size));
     }
     status = bsq_file_check(ctx, file);
