@@ -292,6 +292,9 @@ void bsq_progress_begin(struct bsq_ctx *ctx, const char *stage, const char *unit
 
 /** Adds `count` units to the stage's count. Cheap enough for inner loops. */
 void bsq_progress_add(struct bsq_ctx *ctx, uint64_t count);
+/** Adds the part of `units` that lies between two shares of them, 0 to 1, in whole units. Parts
+ * that follow each other from 0 to 1 add all. */
+void bsq_progress_add_share(struct bsq_ctx *ctx, uint64_t units, double begin, double end);
 
 /** Ends the stage. */
 void bsq_progress_end(struct bsq_ctx *ctx);

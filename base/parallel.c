@@ -219,6 +219,28 @@ int bsq_parallel_for(struct bsq_ctx *ctx, uint64_t count,
     return first_failure(ctx, atomic_load(&loop.status), status_before);
 }
 
+struct ranges {
+    int (*fn)(void *arg, uint64_t begin, uint64_t end, unsigned worker);
+    void *arg;
+    uint64_t count, step;
+};
+
+static int run_range(void *arg, uint64_t index, unsigned worker)
+{
+    const struct ranges *ranges = arg;
+    const uint64_t begin = index * ranges->step, left = ranges->count - begin;
+    return ranges->fn(ranges->arg, begin, begin + (left < ranges->step ? left : ranges->step),
+                      worker);
+}
+
+int bsq_parallel_ranges(struct bsq_ctx *ctx, uint64_t count, uint64_t step,
+                        int (*fn)(void *arg, uint64_t begin, uint64_t end, unsigned worker),
+                        void *arg)
+{
+    struct ranges ranges = {fn, arg, count, step};
+    return bsq_parallel_for(ctx, count / step + (count % step > 0), run_range, &ranges);
+}
+
 /* ---- pipelines ----
  *
  * A pipeline is one or two stages; each has a concurrent step and then a serial step. Counters

@@ -16,6 +16,12 @@
 int bsq_parallel_for(struct bsq_ctx *ctx, uint64_t count,
                      int (*fn)(void *arg, uint64_t index, unsigned worker), void *arg);
 
+/* Does what bsq_parallel_for() does, with fn(arg, begin, end, worker) for ranges of at most `step`
+ * that are [0, count) together. */
+int bsq_parallel_ranges(struct bsq_ctx *ctx, uint64_t count, uint64_t step,
+                        int (*fn)(void *arg, uint64_t begin, uint64_t end, unsigned worker),
+                        void *arg);
+
 /* A pipeline over `slot_count` reused slots of `slot_size` bytes at `slots`.
  * produce: serial, in sequence; returns 1 with the slot filled, 0 at the end, < 0 on failure.
  * work:    concurrent, any order; `worker` as above.

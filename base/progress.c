@@ -57,6 +57,11 @@ void bsq_progress_add(struct bsq_ctx *ctx, uint64_t count)
     pthread_mutex_unlock(&ctx->callback_lock);
 }
 
+void bsq_progress_add_share(struct bsq_ctx *ctx, uint64_t units, double begin, double end)
+{
+    bsq_progress_add(ctx, (uint64_t)((double)units * end) - (uint64_t)((double)units * begin));
+}
+
 void bsq_progress_end(struct bsq_ctx *ctx)
 {
     pthread_mutex_lock(&ctx->callback_lock);

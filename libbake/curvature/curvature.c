@@ -38,24 +38,21 @@ struct probe {
     bool found;
 };
 
-/* Rows of the image that are traced together, or a part of one row. */
-struct window {
-    uint32_t x, y, width, height;
-};
-
 struct work {
     struct bsq_ctx *ctx;
     const struct bake_curvature *job;
     struct bake_curvature_counts *counts;
     uint32_t channels;
-    float *texels;         /* of the window, in the image's rows */
-    uint32_t *objects;     /* of the texels of the window; NULL if all see all scans */
-    uint32_t *ray_objects; /* likewise, of the rays */
+    uint64_t most; /* texels that are traced together */
+    /* Of these texels, which follow each other in the image: */
+    float *texels;
+    uint32_t *objects;    /* NULL if all see all scans */
+    struct probe *probes; /* PROBES a texel */
+    /* Probes that have found nothing, and the rays of some of them: one, or two that lean outwards
+     * and inwards. */
+    uint32_t *listed, *ray_objects, each;
     struct bake_exact_ray *rays;
     struct bake_exact_hit *hits;
-    struct probe *probes;                /* PROBES a texel */
-    uint32_t *listed;                    /* numbers of the probes to trace */
-    uint64_t most_texels, window_texels; /* texels of the largest window, and of the current one */
 };
 
 /* ---- rays ---- */
@@ -129,52 +126,39 @@ static void curvature_take_hit(const struct work *work, uint64_t probe,
 
 /* ---- listed probes ---- */
 
-static uint64_t window_texels(const struct window *window)
-{
-    return (uint64_t)window->width * window->height;
-}
-
 /* Probes whose rays are in memory. */
 struct task {
     struct work *work;
     const uint32_t *probes;
-    uint64_t count;
-    uint32_t each; /* rays: 1, or 2 that lean outwards and inwards */
 };
 
-static uint64_t task_end(uint64_t index, uint64_t size, uint64_t count)
-{
-    return (index + 1) * size < count ? (index + 1) * size : count;
-}
-
-static int cast_probes(void *arg, uint64_t index, unsigned worker)
+static int cast_probes(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     (void)worker;
     const struct task *task = arg;
     const struct work *work = task->work;
-    const uint64_t end = task_end(index, PROBES_A_TASK, task->count) * task->each;
-    for (uint64_t i = index * PROBES_A_TASK * task->each; i < end; ++i) {
-        const uint32_t probe = task->probes[i / task->each];
-        work->rays[i] = probe_ray(work, probe, task->each == 1 ? 0.0f : i & 1 ? -1.0f : 1.0f);
+    const uint32_t each = work->each;
+    for (uint64_t i = begin * each; i < end * each; ++i) {
+        const uint32_t probe = task->probes[i / each];
+        work->rays[i] = probe_ray(work, probe, each == 1 ? 0.0f : i & 1 ? -1.0f : 1.0f);
         if (work->objects)
             work->ray_objects[i] = work->objects[probe / PROBES];
     }
     return 0;
 }
 
-static int take_probes(void *arg, uint64_t index, unsigned worker)
+static int take_probes(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     (void)worker;
     const struct task *task = arg;
     const struct work *work = task->work;
-    const uint64_t end = task_end(index, PROBES_A_TASK, task->count);
-    for (uint64_t i = index * PROBES_A_TASK; i < end; ++i) {
-        const struct bake_exact_hit *hits = &work->hits[task->each * i];
+    for (uint64_t i = begin; i < end; ++i) {
+        const uint64_t outer = work->each * i;
+        const struct bake_exact_hit *hits = &work->hits[outer];
         const bool inner =
-            task->each == 2 && hits[1].triangle != BAKE_EXACT_NONE &&
+            work->each == 2 && hits[1].triangle != BAKE_EXACT_NONE &&
             (hits[0].triangle == BAKE_EXACT_NONE || fabs(hits[1].t) < fabs(hits[0].t));
-        curvature_take_hit(work, task->probes[i], &work->rays[task->each * i + inner],
-                           &hits[inner]);
+        curvature_take_hit(work, task->probes[i], &work->rays[outer + inner], &hits[inner]);
     }
     return 0;
 }
@@ -183,25 +167,25 @@ static int take_probes(void *arg, uint64_t index, unsigned worker)
  * either side. */
 static int trace_missing(struct work *work, uint64_t texels, uint32_t each, double range)
 {
-    const uint64_t most = work->most_texels * PROBES / each;
+    const uint64_t most = work->most * PROBES / each;
     uint64_t listed = 0;
     int status = 0;
+    work->each = each;
     for (uint64_t i = 0; i < texels * PROBES; ++i)
         if (!work->probes[i].found && curvature_is_valid(work, i / PROBES))
             work->listed[listed++] = (uint32_t)i;
     for (uint64_t at = 0; at < listed; at += most) {
-        const uint64_t left = listed - at;
-        struct task task = {work, work->listed + at, left < most ? left : most, each};
-        const uint64_t tasks = (task.count + PROBES_A_TASK - 1) / PROBES_A_TASK;
+        const uint64_t count = listed - at < most ? listed - at : most;
+        struct task task = {work, work->listed + at};
         const struct bake_surface_rays rays = {.batch = {.rays = work->rays,
                                                          .hits = work->hits,
-                                                         .count = task.count * each,
+                                                         .count = count * each,
                                                          .t_min = -range,
                                                          .t_max = range},
                                                .objects = work->ray_objects};
-        BSQ_TRY(bsq_parallel_for(work->ctx, tasks, cast_probes, &task));
+        BSQ_TRY(bsq_parallel_ranges(work->ctx, count, PROBES_A_TASK, cast_probes, &task));
         BSQ_TRY(bake_surface_trace(work->job->surface, &rays));
-        BSQ_TRY(bsq_parallel_for(work->ctx, tasks, take_probes, &task));
+        BSQ_TRY(bsq_parallel_ranges(work->ctx, count, PROBES_A_TASK, take_probes, &task));
     }
 done:
     return status;
@@ -247,85 +231,72 @@ static void curvature_count_texels(const struct work *work, uint64_t texels)
     }
 }
 
-static int resolve_texels(void *arg, uint64_t index, unsigned worker)
+static int resolve_texels(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     (void)worker;
     const struct work *work = arg;
-    const uint64_t end = task_end(index, TEXELS_A_TASK, work->window_texels);
-    for (uint64_t i = index * TEXELS_A_TASK; i < end; ++i)
+    for (uint64_t i = begin; i < end; ++i)
         if (curvature_is_valid(work, i))
             work->texels[i * work->channels + work->job->offset] = curvature_of(work, i);
     return 0;
 }
 
-/* ---- windows of texels ---- */
+/* ---- texels that are traced together ---- */
 
-static int trace_window(struct work *work, const struct window *window)
+/* Traces whole rows of the image, or a part of one row. */
+static int trace_texels(struct work *work, uint32_t x, uint32_t y, uint32_t width, uint32_t rows)
 {
-    const uint64_t texels = window_texels(window);
+    const struct bake_curvature *job = work->job;
+    const uint64_t texels = (uint64_t)width * rows;
     int status = 0;
-    work->window_texels = texels;
     memset(work->probes, 0, texels * PROBES * sizeof *work->probes);
     if (work->objects)
-        BSQ_TRY(work->job->objects(work->job->objects_arg, window->x, window->y, window->width,
-                                   window->height, work->objects));
-    BSQ_TRY(trace_missing(work, texels, 1, work->job->radius));
-    BSQ_TRY(trace_missing(work, texels, 2, sqrt(2.0) * work->job->radius));
+        BSQ_TRY(job->objects(job->objects_arg, x, y, width, rows, work->objects));
+    BSQ_TRY(trace_missing(work, texels, 1, job->radius));
+    BSQ_TRY(trace_missing(work, texels, 2, sqrt(2.0) * job->radius));
     curvature_count_texels(work, texels);
-    BSQ_TRY(bsq_parallel_for(work->ctx, (texels + TEXELS_A_TASK - 1) / TEXELS_A_TASK,
-                             resolve_texels, work));
-    BSQ_TRY(bake_surface_check(work->job->surface));
+    BSQ_TRY(bsq_parallel_ranges(work->ctx, texels, TEXELS_A_TASK, resolve_texels, work));
+    BSQ_TRY(bake_surface_check(job->surface));
     bsq_progress_add(work->ctx, texels);
 done:
     return status;
 }
 
-/* Traces a band: several rows at once, or one row in parts. */
 static int trace_band(void *arg, uint32_t first_row, uint32_t rows, float *texels)
 {
     struct work *work = arg;
     const uint32_t width = work->job->image->width;
-    const uint32_t columns = work->most_texels < width ? (uint32_t)work->most_texels : width;
+    const uint32_t columns = work->most < width ? (uint32_t)work->most : width;
     int status = 0;
     for (uint32_t x = 0; status == 0 && x < width; x += columns) {
-        const struct window window = {x, first_row, width - x < columns ? width - x : columns,
-                                      rows};
         work->texels = texels + (size_t)x * work->channels;
-        status = trace_window(work, &window);
+        status = trace_texels(work, x, first_row, width - x < columns ? width - x : columns, rows);
     }
     return status;
 }
 
-static int trace_bands(struct work *work)
-{
-    const uint64_t rows = work->most_texels / work->job->image->width;
-    const uint32_t most = rows < 1 ? 1 : rows < UINT32_MAX ? (uint32_t)rows : UINT32_MAX;
-    return bake_image_bands(work->ctx, work->job->image, most, true, trace_band, work);
-}
-
 /* ---- memory ---- */
 
-/* Allocates what a window needs. Half of the rays that a caller should hold leave the other buffers
- * enough of the budget. */
+/* Allocates memory for the texels that are traced together. Half of the rays that a caller should
+ * hold leave the other buffers enough of the budget. */
 static int curvature_allocate(struct work *work)
 {
     const struct bake_image *image = work->job->image;
-    const uint64_t width = image->width, all = width * image->height;
+    const uint64_t all = (uint64_t)image->width * image->height;
     const uint64_t fitting = bake_surface_capacity(work->job->surface, 0) / 2 / PROBES;
+    struct bsq_ctx *ctx = work->ctx;
     work->channels = image->channels;
-    work->most_texels = fitting < 1 ? 1 : fitting < all ? fitting : all;
-    const uint64_t rays = work->most_texels * PROBES;
+    work->most = fitting < 1 ? 1 : fitting < all ? fitting : all;
+    const uint64_t rays = work->most * PROBES;
     int status = 0;
-    BSQ_TRY(bsq_alloc(work->ctx, "rays", rays, sizeof *work->rays, &work->rays));
-    BSQ_TRY(bsq_alloc(work->ctx, "hits", rays, sizeof *work->hits, &work->hits));
-    BSQ_TRY(bsq_alloc(work->ctx, "points", rays, sizeof *work->probes, &work->probes));
-    BSQ_TRY(bsq_alloc(work->ctx, "points", rays, sizeof *work->listed, &work->listed));
-    if (work->job->objects) {
-        BSQ_TRY(bsq_alloc(work->ctx, "objects of texels", work->most_texels, sizeof *work->objects,
-                          &work->objects));
-        BSQ_TRY(bsq_alloc(work->ctx, "objects of rays", rays, sizeof *work->ray_objects,
-                          &work->ray_objects));
-    }
+    BSQ_TRY(bsq_alloc(ctx, "rays", rays, sizeof *work->rays, &work->rays));
+    BSQ_TRY(bsq_alloc(ctx, "hits", rays, sizeof *work->hits, &work->hits));
+    BSQ_TRY(bsq_alloc(ctx, "points", rays, sizeof *work->probes, &work->probes));
+    BSQ_TRY(bsq_alloc(ctx, "points", rays, sizeof *work->listed, &work->listed));
+    if (!work->job->objects)
+        return 0;
+    BSQ_TRY(bsq_alloc(ctx, "objects of texels", work->most, sizeof *work->objects, &work->objects));
+    status = bsq_alloc(ctx, "objects of rays", rays, sizeof *work->ray_objects, &work->ray_objects);
 done:
     return status;
 }
@@ -338,7 +309,12 @@ int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *job,
                        (uint64_t)job->image->width * job->image->height);
     int status = 0;
     BSQ_TRY(curvature_allocate(&work));
-    BSQ_TRY(trace_bands(&work));
+    const uint64_t rows = work.most / job->image->width;
+    status = bake_image_bands(ctx, job->image,
+                              rows < 1            ? 1
+                              : rows < UINT32_MAX ? (uint32_t)rows
+                                                  : UINT32_MAX,
+                              true, trace_band, &work);
 done:
     bsq_progress_end(ctx);
     bsq_free(ctx, work.ray_objects);

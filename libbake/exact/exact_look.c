@@ -68,30 +68,22 @@ static void trace_kind(const struct pass *pass, const bk_viewpoint *viewpoint, u
     }
 }
 
-/* Spreads the progress of the viewpoints evenly over blocks and groups. */
-static void look_add_progress(const struct pass *pass, uint64_t begin, uint64_t end)
-{
-    const double each =
-        (double)pass->viewpoints->progress / (double)pass->viewpoints->count / (double)pass->steps;
-    const double before = (double)pass->viewpoints->count * (double)pass->step;
-    bsq_progress_add(pass->look->exact->ctx, (uint64_t)(each * (before + (double)end)) -
-                                                 (uint64_t)(each * (before + (double)begin)));
-}
-
-static int trace_block(void *arg, uint64_t index, unsigned worker)
+static int trace_block(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     (void)worker;
     const struct pass *pass = arg;
-    const uint64_t begin = index * BLOCK, left = pass->viewpoints->count - begin;
-    const uint64_t end = begin + (left < BLOCK ? left : BLOCK);
+    const struct bake_viewpoints *viewpoints = pass->viewpoints;
+    const double steps = (double)viewpoints->count * (double)pass->steps;
+    const double before = (double)viewpoints->count * (double)pass->step;
     for (uint64_t i = begin; i < end; i++) {
         bk_viewpoint viewpoint;
-        if (!pass->viewpoints->get(pass->viewpoints->arg, i, &viewpoint))
+        if (!viewpoints->get(viewpoints->arg, i, &viewpoint))
             continue;
         trace_kind(pass, &viewpoint, i, true);
         trace_kind(pass, &viewpoint, i, false);
     }
-    look_add_progress(pass, begin, end);
+    bsq_progress_add_share(pass->look->exact->ctx, viewpoints->progress,
+                           (before + (double)begin) / steps, (before + (double)end) / steps);
     return 0;
 }
 
@@ -169,8 +161,8 @@ int bake_exact_look_from(struct bake_exact_look *look, const struct bake_viewpoi
         const uint32_t loaded = count - c < slots ? count - c : slots;
         if (!look->whole || look->loaded == 0)
             BSQ_TRY(look_load_group(look, look->reached + c, loaded));
-        BSQ_TRY(bsq_parallel_for(look->exact->ctx, (viewpoints->count + BLOCK - 1) / BLOCK,
-                                 trace_block, &pass));
+        BSQ_TRY(
+            bsq_parallel_ranges(look->exact->ctx, viewpoints->count, BLOCK, trace_block, &pass));
     }
 done:
     return status;

@@ -183,11 +183,9 @@ static void trace_add_progress(const struct wave *wave, const struct block *bloc
 {
     const struct bake_exact_batch *batch = wave->batch;
     const double pairs = (double)wave->buckets->starts[wave->exact->chunk_count];
-    const double units =
-        (double)batch->progress * (double)wave->bundle_count / (double)exact_bundles(batch->count);
-    const uint64_t before = (uint64_t)(units * ((double)block->begin / pairs)),
-                   after = (uint64_t)(units * ((double)block->end / pairs));
-    bsq_progress_add(wave->exact->ctx, after - before);
+    const double part = (double)wave->bundle_count / (double)exact_bundles(batch->count) / pairs;
+    bsq_progress_add_share(wave->exact->ctx, batch->progress, part * (double)block->begin,
+                           part * (double)block->end);
 }
 
 static int shade_hit(const struct wave *wave, struct exact_slot *slot, uint64_t ray)
@@ -359,13 +357,12 @@ done:
     return status;
 }
 
-static int clear_hits(void *arg, uint64_t index, unsigned worker)
+static int clear_hits(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     (void)worker;
     const struct bake_exact_batch *batch = arg;
-    const uint64_t begin = batch->continued + index * CLEARED, left = batch->count - begin;
-    for (uint64_t i = begin; i < begin + (left < CLEARED ? left : CLEARED); i++)
-        batch->hits[i] = (struct bake_exact_hit){.triangle = BAKE_EXACT_NONE};
+    for (uint64_t i = begin; i < end; i++)
+        batch->hits[batch->continued + i] = (struct bake_exact_hit){.triangle = BAKE_EXACT_NONE};
     return 0;
 }
 
@@ -401,8 +398,8 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *ba
     if (batch->count == 0)
         return 0;
     BSQ_TRY(trace_allocate(&wave, &buckets));
-    BSQ_TRY(bsq_parallel_for(ctx, (batch->count - batch->continued + CLEARED - 1) / CLEARED,
-                             clear_hits, (void *)(uintptr_t)batch));
+    BSQ_TRY(bsq_parallel_ranges(ctx, batch->count - batch->continued, CLEARED, clear_hits,
+                                (void *)(uintptr_t)batch));
     for (uint64_t done = 0; done < exact_bundles(batch->count);)
         BSQ_TRY(trace_part(&wave, &buckets, &done));
 done:

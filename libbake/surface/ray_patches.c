@@ -163,12 +163,6 @@ static inline int each_sample(struct job *job, uint32_t index, uint64_t ray, uns
     return status;
 }
 
-/* Calls `take` for each sample of the patch in a seat that lies in a triangle. */
-static inline int each_seated(struct job *job, uint64_t seat, unsigned number, take_sample_fn *take)
-{
-    return each_sample(job, job->seated[seat].index, seat * job->seat_rays, number, take, NULL);
-}
-
 static void cast_sample(struct job *job, const struct sample *sample, void *into)
 {
     (void)into;
@@ -181,6 +175,9 @@ static void cast_sample(struct job *job, const struct sample *sample, void *into
         job->footprints[sample->ray] = sample->triangle;
     if (job->objects)
         job->objects[sample->ray] = job->object_of[sample->triangle];
+    if (job->shares)
+        job->shares[sample->ray] =
+            bk_sample_share(sample->x, sample->y, job->patches->params->samples);
 }
 
 /* Writes the rays of a patch to its seat, one that does not wait. The rest have no direction. */
@@ -192,7 +189,7 @@ static int cast_patch(void *arg, uint64_t index, unsigned number)
     memset(job->reaches + begin, 0, job->seat_rays * sizeof *job->reaches);
     if (job->objects)
         memset(job->objects + begin, 0, job->seat_rays * sizeof *job->objects);
-    return each_seated(job, seat, number, cast_sample);
+    return each_sample(job, job->seated[seat].index, begin, number, cast_sample, NULL);
 }
 
 static void measure_footprints(const struct job *job)
@@ -293,20 +290,6 @@ static int resolve_patch(void *arg, uint64_t index, unsigned number)
 
 /* ---- secondary rays ---- */
 
-/* Sets which of its texel's directions a sample has. */
-static void share_sample(struct job *job, const struct sample *sample, void *into)
-{
-    (void)into;
-    job->shares[sample->ray] = bk_sample_share(sample->x, sample->y, job->patches->params->samples);
-}
-
-/* Prepares the hits of a patch's rays. */
-static int share_patch(void *arg, uint64_t index, unsigned number)
-{
-    struct job *job = arg;
-    return each_seated(job, job->waiting + index, number, share_sample);
-}
-
 /* Looks from each hit along its ray, both ways, for the next surface that the ray could have hit.
  * The rays start at the hits from here on. */
 static int look_beside(struct job *job, const struct bake_surface_rays *rays)
@@ -343,8 +326,7 @@ static int look_around(struct job *job, const struct bake_surface_rays *rays, ui
                                         .objects = rays->objects,
                                         .count = rays->batch.count,
                                         .progress = progress};
-    int status = bsq_parallel_for(job->ctx, job->taken - job->waiting, share_patch, job);
-    return status < 0 ? status : bake_look_around(job->look, &hits, job->surroundings + first);
+    return bake_look_around(job->look, &hits, job->surroundings + first);
 }
 
 /* ---- ordering ---- */

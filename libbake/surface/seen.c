@@ -112,14 +112,13 @@ static uint64_t lot_of(const struct bake_exact_ray *ray)
     return ((uint64_t)x << 32 | y) * UINT64_C(0x9e3779b97f4a7c15) >> 40;
 }
 
-/* Marks the hits of some rays of a task, by the normals of triangles. */
-static int mark_some(void *arg, uint64_t task, unsigned worker)
+/* Marks the hits of some rays of a range, by the normals of triangles. */
+static int mark_some(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     (void)worker;
     const struct hits *of = arg;
     const struct bake_exact_batch *batch = of->batch;
-    const uint64_t begin = task * HITS_A_TASK, left = batch->count - begin;
-    for (uint64_t i = begin; i < begin + (left < HITS_A_TASK ? left : HITS_A_TASK); i++) {
+    for (uint64_t i = begin; i < end; i++) {
         const struct bake_exact_ray *ray = &batch->rays[i];
         const struct bake_exact_hit *hit = &batch->hits[i];
         if (lot_of(ray) >= of->seen->lot || hit->triangle == BAKE_EXACT_NONE)
@@ -137,8 +136,7 @@ int bake_seen_mark_hits(const struct bake_surface *surface, struct bake_seen *se
                         const struct bake_exact_batch *batch)
 {
     struct hits of = {seen, batch, (float)surface->unit, surface->params.flags & BK_TWO_SIDED};
-    return bsq_parallel_for(seen->ctx, (batch->count + HITS_A_TASK - 1) / HITS_A_TASK, mark_some,
-                            &of);
+    return bsq_parallel_ranges(seen->ctx, batch->count, HITS_A_TASK, mark_some, &of);
 }
 
 static bool is_marked(const struct bake_seen *seen, uint64_t cell, uint64_t axes)

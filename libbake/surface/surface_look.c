@@ -95,18 +95,17 @@ static bool get_viewpoint(const void *arg, uint64_t index, bk_viewpoint *out)
 
 /* ---- one scan ---- */
 
-static int look_task(void *arg, uint64_t task, unsigned worker)
+static int look_task(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     const struct view *view = arg;
     const struct bake_look *look = view->look;
     const struct bake_scan *scan = &look->surface->scans[view->scan];
     const struct bake_viewpoints *viewpoints = &view->viewpoints;
-    const uint64_t begin = task * HITS_A_TASK, left = viewpoints->count - begin;
-    const uint64_t end = begin + (left < HITS_A_TASK ? left : HITS_A_TASK);
-    const double each = (double)viewpoints->progress / (double)viewpoints->count;
+    const double count = (double)viewpoints->count;
     bake_trace_viewpoints(&scan->grid, &look->trees[view->scan], &scan->params, viewpoints, begin,
                           end, &look->workers, worker, &look->states);
-    bsq_progress_add(scan->ctx, (uint64_t)(each * (double)end) - (uint64_t)(each * (double)begin));
+    bsq_progress_add_share(scan->ctx, viewpoints->progress, (double)begin / count,
+                           (double)end / count);
     return 0;
 }
 
@@ -133,8 +132,7 @@ static int look_at_scan(struct view *view, uint64_t progress)
                                                 .unit = scan->unit,
                                                 .progress = progress};
     return scan->exact ? look_at_triangles(view, scan)
-                       : bsq_parallel_for(scan->ctx, (view->count + HITS_A_TASK - 1) / HITS_A_TASK,
-                                          look_task, view);
+                       : bsq_parallel_ranges(scan->ctx, view->count, HITS_A_TASK, look_task, view);
 }
 
 /* ---- sums ---- */
@@ -189,14 +187,13 @@ static bk_surroundings sum_rays(const struct bake_look *look, const bk_viewpoint
 
 /* ---- all scans ---- */
 
-static int sum_task(void *arg, uint64_t task, unsigned worker)
+static int sum_task(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     const struct view *view = arg;
     const struct bake_look *look = view->look;
     const struct bake_surface *surface = look->surface;
     float *found = look->found + worker * (uint64_t)bk_ray_count(&look->params);
-    const uint64_t begin = task * HITS_A_TASK, left = view->count - begin;
-    for (uint64_t i = begin; i < begin + (left < HITS_A_TASK ? left : HITS_A_TASK); i++) {
+    for (uint64_t i = begin; i < end; i++) {
         const uint64_t index = view->first + i;
         double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
         bk_viewpoint viewpoint;
@@ -232,8 +229,7 @@ static int look_at_all(struct view *view, uint64_t progress)
     clear_states(&look->states, view->count);
     for (view->scan = 0; view->scan < n; view->scan++)
         BSQ_TRY(look_at_scan(view, progress * (view->scan + 1) / n - progress * view->scan / n));
-    BSQ_TRY(bsq_parallel_for(look->surface->ctx, (view->count + HITS_A_TASK - 1) / HITS_A_TASK,
-                             sum_task, view));
+    BSQ_TRY(bsq_parallel_ranges(look->surface->ctx, view->count, HITS_A_TASK, sum_task, view));
     BSQ_TRY(bake_surface_check(look->surface));
 done:
     return status;

@@ -17,23 +17,15 @@ struct grid_trace {
     struct bk_params params;
 };
 
-/* Spreads the progress of a batch evenly over its rays. */
-static void surface_add_progress(struct bsq_ctx *ctx, const struct bake_exact_batch *batch,
-                                 uint64_t begin, uint64_t end)
-{
-    const double each = (double)batch->progress / (double)batch->count;
-    bsq_progress_add(ctx, (uint64_t)(each * (double)end) - (uint64_t)(each * (double)begin));
-}
-
-static int trace_grid_rays(void *arg, uint64_t task, unsigned worker)
+static int trace_grid_rays(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     (void)worker;
     const struct grid_trace *trace = arg;
     const struct bake_exact_batch *batch = &trace->rays->batch;
-    const uint64_t begin = task * RAYS_A_TASK, left = batch->count - begin;
-    const uint64_t end = begin + (left < RAYS_A_TASK ? left : RAYS_A_TASK);
+    const double count = (double)batch->count;
     bake_trace_rays(&trace->scan->grid, &trace->params, trace->scan->unit, batch, begin, end);
-    surface_add_progress(trace->scan->ctx, batch, begin, end);
+    bsq_progress_add_share(trace->scan->ctx, batch->progress, (double)begin / count,
+                           (double)end / count);
     return 0;
 }
 
@@ -44,8 +36,7 @@ static int trace_scan(const struct bake_scan *scan, const struct bake_surface_ra
         return bake_exact_trace(scan->exact, &rays->batch);
     struct grid_trace trace = {scan, rays, scan->params};
     trace.params.flags &= ~(bk_uint)(rays->best ? BK_NEAREST : 0);
-    return bsq_parallel_for(scan->ctx, (rays->batch.count + RAYS_A_TASK - 1) / RAYS_A_TASK,
-                            trace_grid_rays, &trace);
+    return bsq_parallel_ranges(scan->ctx, rays->batch.count, RAYS_A_TASK, trace_grid_rays, &trace);
 }
 
 /* ---- several scans ---- */
@@ -60,12 +51,6 @@ struct scans_trace {
     float *own_channels;
 };
 
-static uint64_t moved_end(const struct scans_trace *trace, uint64_t task)
-{
-    const uint64_t end = (task + 1) * MOVED_RAYS_A_TASK, count = trace->rays->batch.count;
-    return end < count ? end : count;
-}
-
 /* Returns whether the current scan is hidden from a ray. */
 static bool is_hidden(const struct scans_trace *trace, uint64_t ray)
 {
@@ -75,14 +60,13 @@ static bool is_hidden(const struct scans_trace *trace, uint64_t ray)
 }
 
 /* Moves rays to the index space of the scan. Those that do not see it get no direction. */
-static int move_rays(void *arg, uint64_t task, unsigned worker)
+static int move_rays(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     (void)worker;
     const struct scans_trace *trace = arg;
     const struct bake_surface *surface = trace->surface;
     const struct bake_scan *scan = &surface->scans[trace->scan];
-    const uint64_t end = moved_end(trace, task);
-    for (uint64_t i = task * MOVED_RAYS_A_TASK; i < end; i++) {
+    for (uint64_t i = begin; i < end; i++) {
         struct bake_exact_ray *ray = &trace->own_rays[i];
         *ray = trace->rays->batch.rays[i];
         for (int k = 0; k < 3; k++) {
@@ -118,15 +102,14 @@ static bool comes_before(const struct bake_exact_hit *hit, const float *channels
     return order ? order < 0 : size > 0 && memcmp(channels, other_channels, size) < 0;
 }
 
-static int keep_best(void *arg, uint64_t task, unsigned worker)
+static int keep_best(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     (void)worker;
     const struct scans_trace *trace = arg;
     const struct bake_exact_batch *batch = &trace->rays->batch;
     const uint64_t floats =
         trace->own_channels ? BK_TRANSFER_VALUES * bk_transfers(trace->surface->params.maps) : 0;
-    const uint64_t end = moved_end(trace, task);
-    for (uint64_t i = task * MOVED_RAYS_A_TASK; i < end; i++) {
+    for (uint64_t i = begin; i < end; i++) {
         const float *own = floats > 0 ? trace->own_channels + i * floats : NULL;
         float *channels = floats > 0 ? batch->channels + i * floats : NULL;
         const double reach = batch->reaches ? (double)batch->reaches[i] : 0;
@@ -147,16 +130,16 @@ static int trace_next(const struct scans_trace *trace)
     const struct bake_surface *surface = trace->surface;
     const uint32_t n = surface->scan_count, s = trace->scan;
     const uint64_t count = trace->rays->batch.count, progress = trace->rays->batch.progress;
-    const uint64_t tasks = (count + MOVED_RAYS_A_TASK - 1) / MOVED_RAYS_A_TASK;
+    void *arg = (void *)(uintptr_t)trace;
     struct bake_surface_rays own = *trace->rays;
     own.batch.rays = trace->own_rays;
     own.batch.hits = trace->own_hits;
     own.batch.channels = trace->own_channels;
     own.batch.progress = progress * (s + 1) / n - progress * s / n;
     int status = 0;
-    BSQ_TRY(bsq_parallel_for(surface->ctx, tasks, move_rays, (void *)(uintptr_t)trace));
+    BSQ_TRY(bsq_parallel_ranges(surface->ctx, count, MOVED_RAYS_A_TASK, move_rays, arg));
     BSQ_TRY(trace_scan(&surface->scans[s], &own));
-    BSQ_TRY(bsq_parallel_for(surface->ctx, tasks, keep_best, (void *)(uintptr_t)trace));
+    BSQ_TRY(bsq_parallel_ranges(surface->ctx, count, MOVED_RAYS_A_TASK, keep_best, arg));
 done:
     return status;
 }

@@ -381,6 +381,26 @@ TEST(test_progress)
     bsq_ctx_destroy(ctx);
 }
 
+static void note_done(void *user, const struct bsq_progress *progress)
+{
+    *(uint64_t *)user = progress->done;
+}
+
+/* Shares that follow each other add up to all units, however they are rounded. */
+TEST(test_shares_of_progress_add_up)
+{
+    uint64_t done = 0;
+    struct bsq_ctx *ctx;
+    struct bsq_ctx_options options = {.on_progress = note_done, .user = &done};
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    bsq_progress_begin(ctx, "testing", "steps", 1000);
+    for (int i = 0; i < 7; i++)
+        bsq_progress_add_share(ctx, 1000, i / 7.0, (i + 1) / 7.0);
+    bsq_progress_end(ctx);
+    assert_int_equal(done, 1000);
+    bsq_ctx_destroy(ctx);
+}
+
 /* ---- shares of the budget ---- */
 
 static void join_share(void *arg, const char *name, uint64_t bytes)

@@ -68,6 +68,34 @@ TEST(test_loop_visits_each_once)
     }
 }
 
+static int visit_range(void *arg, uint64_t begin, uint64_t end, unsigned worker)
+{
+    struct loop_state *shared = arg;
+    if (end <= begin || end - begin > 7)
+        atomic_store(&shared->trouble, 1);
+    for (; begin < end; begin++)
+        visit(arg, begin, worker);
+    return 0;
+}
+
+TEST(test_ranges_visit_each_once)
+{
+    static const uint64_t counts[] = {0, 1, 6, 7, 8, 14, 1000};
+    for (unsigned threads = 1; threads <= MAX_THREADS; threads += 3) {
+        struct bsq_ctx *ctx = test_context(threads, 0);
+        for (size_t c = 0; c < sizeof counts / sizeof counts[0]; c++) {
+            atomic_uchar visits[1001] = {0};
+            struct loop_state shared = {
+                .threads = threads, .fail_at = UINT64_MAX, .visits = visits};
+            assert_int_equal(bsq_parallel_ranges(ctx, counts[c], 7, visit_range, &shared), 0);
+            for (uint64_t i = 0; i <= 1000; i++)
+                assert_int_equal(visits[i], i < counts[c]);
+            assert_int_equal(shared.trouble, 0);
+        }
+        bsq_ctx_destroy(ctx);
+    }
+}
+
 TEST(test_loop_stops_at_failure)
 {
     for (unsigned threads = 1; threads <= MAX_THREADS; threads++) {
