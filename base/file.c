@@ -59,13 +59,6 @@ static struct bsq_identity identity_of(const struct stat *info)
                                  .changed = info->st_ctim};
 }
 
-struct bsq_identity bsq_find_identity(const char *path)
-{
-    struct stat info;
-    return stat(path, &info) == 0 && S_ISREG(info.st_mode) ? identity_of(&info)
-                                                           : (struct bsq_identity){0};
-}
-
 void bsq_identity_text(const struct bsq_identity *identity, char text[BSQ_IDENTITY_BYTES])
 {
     snprintf(text, BSQ_IDENTITY_BYTES, "%" PRIu64 " %" PRIu64 " %jd.%09ld %jd.%09ld",

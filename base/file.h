@@ -20,11 +20,9 @@ struct bsq_identity {
 
 /* Writes inode, size and times as a text that machines of one file server agree on. A later file
  * with this text has the same content: the system changes the last of the times with every write,
- * and no program can set it. Only a file that is not SETTLED yet may change without a new time. */
-enum { BSQ_IDENTITY_BYTES = 112, BSQ_SETTLED_SECONDS = 3 };
+ * and no program can set it. Only two writes within a few seconds may leave it the same. */
+enum { BSQ_IDENTITY_BYTES = 112 };
 void bsq_identity_text(const struct bsq_identity *identity, char text[BSQ_IDENTITY_BYTES]);
-/* Returns the identity of the file of a path; all zeros if there is no regular file. */
-struct bsq_identity bsq_find_identity(const char *path);
 
 struct bsq_file {
     int fd;                       /* -1 when closed */

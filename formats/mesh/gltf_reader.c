@@ -555,15 +555,6 @@ static const char *find_object(const struct stream_source *source, uint64_t numb
     return placement->name;
 }
 
-static const char *dependency(const struct stream_source *source, uint32_t index)
-{
-    const struct gltf_source *file = source->data;
-    for (uint32_t i = 0; i < file->buffer_count; i++)
-        if (file->buffers[i].path && index-- == 0)
-            return file->buffers[i].path;
-    return NULL;
-}
-
 #define LEFT_OUT " are not finite and were left out"
 
 const struct fmt_mesh_format fmt_gltf_format = {
@@ -587,5 +578,4 @@ const struct fmt_mesh_format fmt_gltf_format = {
     .read_materials = list_materials,
     .preview_materials = list_materials,
     .find_object = find_object,
-    .dependency = dependency,
 };

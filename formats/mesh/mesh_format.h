@@ -206,8 +206,6 @@ struct fmt_mesh_format {
      * material in the file, or a number that no material has. NULL: the format has no objects. */
     const char *(*find_object)(const struct stream_source *source, uint64_t number,
                                uint32_t *material);
-    /* Returns as fmt_mesh_dependency() does, for one file. NULL: the format refers to no files. */
-    const char *(*dependency)(const struct stream_source *source, uint32_t index);
 };
 
 /* What there is to say of all files: see stream_oddity. */

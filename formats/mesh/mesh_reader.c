@@ -321,21 +321,6 @@ void fmt_mesh_use_objects(struct fmt_mesh_reader *reader)
     reader->objects = true;
 }
 
-const char *fmt_mesh_dependency(const struct fmt_mesh_reader *reader, uint32_t index)
-{
-    const char *path = NULL;
-    for (uint32_t i = 0; i < reader->source_count; i++) {
-        const struct stream_source *source = &reader->sources[i];
-        for (uint32_t own = 0; source->format->dependency; own++) {
-            if ((path = source->format->dependency(source, own)) == NULL)
-                break;
-            if (index-- == 0)
-                return path;
-        }
-    }
-    return NULL;
-}
-
 /* ---- indices ---- */
 
 bool fmt_mesh_all_below(const uint64_t *indices, uint64_t count, uint64_t end)

@@ -187,10 +187,6 @@ int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials
  * files, whether faces use them or not. Their number has no meaning. Problems in these files are
  * warned of here, and not again by fmt_mesh_read_materials(). */
 int fmt_mesh_preview_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out);
-/* Returns the path of another file that the result depends on, such as a material library. Only
- * files named in the batches read so far are known. Images are not among them. Returns NULL if
- * there are no more than `index`. The reader owns the path. */
-const char *fmt_mesh_dependency(const struct fmt_mesh_reader *reader, uint32_t index);
 
 /* ---- messages about faces ---- */
 

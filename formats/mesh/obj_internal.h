@@ -83,7 +83,6 @@ int fmt_obj_read_materials(struct stream_source *source, struct fmt_materials *o
 int fmt_obj_preview_materials(struct stream_source *source, struct fmt_materials *out);
 const char *fmt_obj_find_object(const struct stream_source *source, uint64_t number,
                                 uint32_t *material);
-const char *fmt_obj_dependency(const struct stream_source *source, uint32_t index);
 
 /* Copies the text of a statement: continuations become blanks, trailing blanks go. The caller frees
  * *out with bsq_free(). */

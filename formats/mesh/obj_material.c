@@ -92,12 +92,6 @@ done:
     return status;
 }
 
-const char *fmt_obj_dependency(const struct stream_source *source, uint32_t index)
-{
-    const struct obj_file *file = source->data;
-    return index < file->libraries.count ? file->libraries.list[index] : NULL;
-}
-
 /* Reads a library of a file. There are no warnings if it was previewed. */
 static int read_library(const struct stream_source *source, uint64_t library,
                         struct fmt_materials *out)

@@ -355,5 +355,4 @@ const struct fmt_mesh_format fmt_obj_format = {
     .read_materials = fmt_obj_read_materials,
     .preview_materials = fmt_obj_preview_materials,
     .find_object = fmt_obj_find_object,
-    .dependency = fmt_obj_dependency,
 };

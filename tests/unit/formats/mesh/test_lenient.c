@@ -135,9 +135,11 @@ TEST(test_tidy_names)
 TEST(test_missing_libraries)
 {
     struct obj_fixture f;
-    obj_read_text(&f, "mtllib no such lib.mtl # c\nv 0 0 0\nf 1 1 1\n");
-    assert_string_equal(fmt_mesh_dependency(f.reader, 0), "no such lib.mtl");
-    assert_null(fmt_mesh_dependency(f.reader, 1));
+    struct fmt_materials materials;
+    obj_read_text(&f, "mtllib no such lib.mtl # c\nv 0 0 0\nusemtl m\nf 1 1 1\n");
+    bsq_set_strict(f.ctx, true);
+    assert_int_equal(fmt_mesh_read_materials(f.reader, &materials), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(f.ctx), ":1: no such lib.mtl: No such file"));
     obj_close(&f);
 }
 

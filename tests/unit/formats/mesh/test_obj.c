@@ -108,9 +108,6 @@ TEST(test_several_files)
     assert_int_equal(f.scan.materials[1], FMT_MESH_NO_MATERIAL);
     assert_int_equal(f.scan.materials[2], 1);
     assert_int_equal(f.scan.materials[3], FMT_MESH_NO_MATERIAL);
-    assert_string_equal(fmt_mesh_dependency(f.reader, 0), "a file.mtl");
-    assert_string_equal(fmt_mesh_dependency(f.reader, 2), "missing.mtl");
-    assert_null(fmt_mesh_dependency(f.reader, 3));
     struct fmt_materials materials;
     assert_int_equal(fmt_mesh_read_materials(f.reader, &materials), 0);
     assert_int_equal(materials.count, 2);
