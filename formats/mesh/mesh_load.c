@@ -175,12 +175,9 @@ static int check_corners(struct loader *loader, const uint64_t totals[3])
     uint64_t corner = 0;
     int status = 0;
     for (uint64_t face = 0; face < loader->mesh->face_count && !status; face++) {
-        const uint64_t first = corner;
         status = face % 4096 == 0 ? bsq_check(loader->ctx) : 0;
         for (uint32_t i = 0; i < loader->face_sizes[face] && !status; i++, corner++)
             status = check_corner(loader, totals, face, corner);
-        if (!status && lacks_position(loader, face, first))
-            count_loss(&loader->lost_faces, face);
     }
     return status;
 }
@@ -255,7 +252,9 @@ static int make_triangles(struct loader *loader)
     int status;
     BSQ_TRY(allocate_triangles(loader, largest));
     for (uint64_t face = 0; face < loader->mesh->face_count; face++) {
-        if (!lacks_position(loader, face, corner)) {
+        if (lacks_position(loader, face, corner)) {
+            count_loss(&loader->lost_faces, face);
+        } else {
             BSQ_TRY(split_face(loader, face, corner, triangle));
             triangle += loader->face_sizes[face] - 2;
         }
@@ -302,10 +301,10 @@ static int load(struct loader *loader, const char *path)
     BSQ_TRY(check_corners(loader, counts));
     BSQ_TRY(fmt_mesh_report_loss(loader->reader, FMT_MESH_NORMAL, loader->lost_normals.count,
                                  loader->lost_normals.face, totals.faces));
-    BSQ_TRY(fmt_mesh_report_loss(loader->reader, FMT_MESH_VERTEX, loader->lost_faces.count,
-                                 loader->lost_faces.face, totals.faces));
     BSQ_TRY(hash_faces(loader));
     BSQ_TRY(make_triangles(loader));
+    BSQ_TRY(fmt_mesh_report_loss(loader->reader, FMT_MESH_VERTEX, loader->lost_faces.count,
+                                 loader->lost_faces.face, totals.faces));
     normalise(mesh);
     if (loader->named)
         status = fmt_mesh_read_materials(loader->reader, &mesh->materials);

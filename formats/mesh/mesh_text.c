@@ -154,26 +154,27 @@ static bool find_entry(char *path, char *name)
 }
 
 /* Gives the components of `path` from byte `from` on the capitals of folders and files that exist;
- * those that exist as they are stay so, and the token of a texture of tiles. Returns whether all
- * exist. */
-static bool match_capitals(char *path, size_t from)
+ * those that exist as they are stay so, and the token of a texture of tiles. *found: all exist. */
+static int match_capitals(struct bsq_ctx *ctx, char *path, size_t from, bool *found)
 {
     struct stat info;
-    bool found = true;
-    for (char *name = path + from, *next; *name && found; name = next) {
+    int status = 0;
+    *found = true;
+    for (char *name = path + from, *next; *name && *found && !status; name = next) {
         char *end = strchrnul(name, '/');
         next = end + (*end == '/');
         const char end_byte = *end, next_byte = *next;
         *next = '\0'; /* a path that ends in a slash is a folder */
-        found = end == name || stat(path, &info) == 0 || (!end_byte && fmt_has_tiles(path));
+        *found = end == name || stat(path, &info) == 0 || (!end_byte && fmt_has_tiles(path));
         *next = next_byte;
-        if (found)
+        if (*found)
             continue;
         *end = '\0';
-        found = find_entry(path, name);
+        *found = find_entry(path, name);
         *end = end_byte;
+        status = bsq_check(ctx);
     }
-    return found;
+    return status;
 }
 
 /* ---- trials ---- */
@@ -189,8 +190,8 @@ static int try_path(struct search *search, const char *name, enum form form)
         return status;
     for (char *c = path + directory; *c && form == WITH_SLASHES; c++)
         *c = *c == '\\' ? '/' : *c;
-    status = check_file(search->ctx, path, &found);
-    if (!status && !found && match_capitals(path, directory))
+    status = match_capitals(search->ctx, path, directory, &found);
+    if (!status && found)
         status = check_file(search->ctx, path, &found);
     if (!status && found)
         search->path = path;

@@ -524,13 +524,4 @@ echo_other 66 [^ ]*/bisque-scene is not of this program's build, or does not wor
 END
 BIN=$real_bin
 
-# Messages.
-printf 'ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n' >points.ply
-printf 'property float z\nend_header\n0 0 0\n' >>points.ply
-run bisque-voxelize points.ply -o a.nvdb
-refused 65 'bisque-voxelize: points.ply: a point cloud of 1 points without faces; make a mesh of it'
-head -c 100000 scan.ply >cut.ply
-run bisque-voxelize cut.ply -o a.nvdb
-refused_like 65 '^bisque-voxelize: cut\.ply: truncated: .*vertex'
-
 finish

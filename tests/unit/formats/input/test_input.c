@@ -358,15 +358,4 @@ TEST(test_waiting_ends_with_an_interruption)
     }
 }
 
-TEST(test_two_inputs_cannot_be_one_pipe)
-{
-    static const char *const paths[] = {"-", "-"};
-    const struct fmt_mesh_inputs inputs = {.paths = paths, .path_count = 2, .pipes = true};
-    struct fmt_mesh_reader *reader;
-    struct bsq_ctx *ctx = make_context(64 << 20, 1);
-    assert_int_equal(fmt_mesh_open_inputs(ctx, &inputs, &reader), BSQ_EUSAGE);
-    assert_string_equal(bsq_error(ctx), "-: a pipe can be read only once");
-    bsq_ctx_destroy(ctx);
-}
-
 RUN_TESTS(make_numbers, free_numbers)

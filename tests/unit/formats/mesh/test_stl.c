@@ -108,68 +108,63 @@ TEST(test_text_facets)
     obj_close(&f);
 }
 
+enum { TRIANGLES = 20000 };
+
 /* Many parts give what one part gives, apart from vertices that are equal across parts. */
-TEST(test_large)
+static void check_many(const void *bytes, size_t size, uint64_t line)
 {
-    enum { TRIANGLES = 20000 };
-    char *text = malloc(TRIANGLES * 160 + 100);
+    struct obj_fixture f;
+    read_bytes(&f, bytes, size);
+    assert_true(f.scan.batches > 2);
+    assert_int_equal(f.scan.totals.faces, TRIANGLES);
+    assert_in_range(f.scan.totals.vertices, 2 * TRIANGLES + 1, 2 * TRIANGLES + 100);
+    for (int i = 0; i < TRIANGLES; i++) {
+        const double *p = f.scan.positions[f.scan.corners[0][3 * i + 1]];
+        assert_true(p[0] == i + 1 && p[1] == 0 && p[2] == 0);
+    }
+    assert_int_equal(obj_line_of_face(&f, 15000), line);
+    obj_close(&f);
+}
+
+TEST(test_large_binary)
+{
     unsigned char *binary = calloc(1, 84 + 50 * TRIANGLES);
-    assert_non_null(text);
-    assert_non_null(binary);
-    size_t size = (size_t)sprintf(text, "solid many\n");
     const uint32_t count = TRIANGLES;
+    assert_non_null(binary);
     memcpy(binary + 80, &count, 4);
     for (int i = 0; i < TRIANGLES; i++) {
         const float corners[9] = {(float)i, 0, 0, (float)i + 1, 0, 0, (float)i, 1, 0};
         memcpy(binary + 84 + 50 * i + 12, corners, 36);
-        size += (size_t)sprintf(text + size,
-                                "facet normal 0 0 1\nouter loop\nvertex %d 0 0\nvertex %d 0 0\n"
-                                "vertex %d 1 0\nendloop\nendfacet\n",
-                                i, i + 1, i);
     }
-    size += (size_t)sprintf(text + size, "endsolid many\n");
-    const struct {
-        const void *bytes;
-        size_t size;
-    } files[2] = {{text, size}, {binary, 84 + 50 * TRIANGLES}};
-    for (int n = 0; n < 2; n++) {
-        struct obj_fixture f;
-        read_bytes(&f, files[n].bytes, files[n].size);
-        assert_true(f.scan.batches > 2);
-        assert_int_equal(f.scan.totals.faces, TRIANGLES);
-        assert_in_range(f.scan.totals.vertices, 2 * TRIANGLES + 1, 2 * TRIANGLES + 100);
-        for (int i = 0; i < TRIANGLES; i++) {
-            const double *p = f.scan.positions[f.scan.corners[0][3 * i + 1]];
-            assert_true(p[0] == i + 1 && p[1] == 0 && p[2] == 0);
-        }
-        assert_int_equal(obj_line_of_face(&f, 15000), n == 0 ? 2 + 7 * 15000 : 0);
-        obj_close(&f);
-    }
-    free(text);
+    check_many(binary, 84 + 50 * TRIANGLES, 0);
     free(binary);
 }
 
 /* Statements may share one line, also that of the name. Such a text is cut like any other. */
-TEST(test_one_line)
+TEST(test_large_text)
 {
-    enum { TRIANGLES = 20000 };
-    static const char *const starts[] = {"solid a facet of many ", "solid\n", "solid "};
+    static const struct {
+        const char *start, *facet, *end;
+        uint64_t line;
+    } texts[] = {
+        {"solid many\n",
+         "facet normal 0 0 1\nouter loop\nvertex %d 0 0\nvertex %d 0 0\nvertex %d 1 0\nendloop\n"
+         "endfacet\n",
+         "endsolid many\n", 2 + 7 * 15000},
+#define ONE_LINE                                                                                   \
+    "facet  normal 0 0 1 outer loop vertex %d 0 0 vertex %d 0 0 vertex %d 1 0 endloop endfacet\t", \
+        "endsolid one endfacet"
+        {"solid a facet of many ", ONE_LINE, 1},
+        {"solid\n", ONE_LINE, 2},
+        {"solid ", ONE_LINE, 1}};
     char *text = malloc(TRIANGLES * 160 + 100);
     assert_non_null(text);
-    for (int n = 0; n < 3; n++) {
-        struct obj_fixture f;
-        size_t size = (size_t)sprintf(text, "%s", starts[n]);
+    for (size_t n = 0; n < sizeof texts / sizeof *texts; n++) {
+        size_t size = (size_t)sprintf(text, "%s", texts[n].start);
         for (int i = 0; i < TRIANGLES; i++)
-            size += (size_t)sprintf(text + size,
-                                    "facet  normal 0 0 1 outer loop vertex %d 0 0 vertex %d 0 0 "
-                                    "vertex %d 1 0 endloop endfacet\t",
-                                    i, i + 1, i);
-        size += (size_t)sprintf(text + size, "endsolid one endfacet");
-        read_bytes(&f, text, size);
-        assert_int_equal(f.scan.totals.faces, TRIANGLES);
-        assert_true(f.scan.batches > 2);
-        assert_int_equal(obj_line_of_face(&f, 15000), n == 1 ? 2 : 1);
-        obj_close(&f);
+            size += (size_t)sprintf(text + size, texts[n].facet, i, i + 1, i);
+        size += (size_t)sprintf(text + size, "%s", texts[n].end);
+        check_many(text, size, texts[n].line);
     }
     free(text);
 }

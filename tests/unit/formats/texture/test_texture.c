@@ -336,11 +336,6 @@ TEST(test_image_larger_than_cache)
     free(p.texels);
 }
 
-struct lookup {
-    struct fixture *f;
-    float (*colors)[3];
-};
-
 /* A PFM file stores linear floats, lowest row first. */
 TEST(test_float_image_is_linear)
 {
