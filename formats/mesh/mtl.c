@@ -148,14 +148,12 @@ static const struct map_option *find_option(const char *p)
     return NULL;
 }
 
-/* A texture of a map_ statement. */
+/* What the options of a map_ statement say. */
 struct texture {
-    char **path, **place;
     struct fmt_uv uv;
     uint32_t component;
     bool scalar;       /* it gives one value, so `component` counts */
     bool after_vector; /* the file could be a number of the option before it */
-    bool found;        /* the statement names a file */
 };
 
 /* Notes what an option with these numbers says of the texture. */
@@ -227,32 +225,34 @@ static int note_place(struct reader *reader, char **place)
 }
 
 /* Reads "[options] file" of a statement. The file name may contain blanks and be quoted. */
-static int read_texture(struct reader *reader, const char *statement, char *p,
-                        struct texture *texture)
+static int read_map(struct reader *reader, char *p, struct fmt_material_channel *entry)
 {
+    struct texture texture = {.component = entry->channel->component,
+                              .scalar = entry->channel->values == 1};
+    const char *statement = entry->channel->mtl_map;
     const struct map_option *option;
     char *path = NULL;
     bool exists = false;
     int status = 0;
     trim_end(p);
     while (!status && (option = find_option(p)))
-        status = read_option(reader, &p, option, texture);
+        status = read_option(reader, &p, option, &texture);
     if (status)
         return status;
     if (!*p || (*p == '#' && (!p[1] || fmt_mesh_is_blank(p[1]))) || !strcmp(p, "\"\""))
         return warn(reader, "names no file, ignored", statement);
     status = fmt_path_find(reader->ctx, reader->path, p, &path, &exists);
-    if (!status && !exists && texture->after_vector) {
+    if (!status && !exists && texture.after_vector) {
         bsq_free(reader->ctx, path);
         return warn(reader, "names no file, ignored", statement);
     }
     if (status)
         return status;
-    /* NOLINTNEXTLINE(clang-analyzer-core.NullDereference): only textures that a member takes */
-    bsq_free(reader->ctx, *texture->path);
-    *texture->path = path;
-    texture->found = true;
-    return note_place(reader, texture->place);
+    bsq_free(reader->ctx, entry->texture_path);
+    entry->texture_path = path;
+    entry->uv = texture.uv;
+    entry->component = texture.component;
+    return note_place(reader, &entry->texture_place);
 }
 
 /* ---- properties: the colour, and further channels ---- */
@@ -268,20 +268,6 @@ static const struct fmt_channel *find_property(const char *p, bool *is_map)
             return row;
     }
     return NULL;
-}
-
-static int read_map(struct reader *reader, char *rest, struct fmt_material_channel *entry)
-{
-    struct texture texture = {.path = &entry->texture_path,
-                              .place = &entry->texture_place,
-                              .component = entry->channel->component,
-                              .scalar = entry->channel->values == 1};
-    int status = read_texture(reader, entry->channel->mtl_map, rest, &texture);
-    if (texture.found) {
-        entry->uv = texture.uv;
-        entry->component = texture.component;
-    }
-    return status;
 }
 
 /* Reads the value of a channel from the statement at `p`. Colours are sRGB, which ends at 1; if a
