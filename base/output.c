@@ -325,6 +325,11 @@ int bsq_output_expect(struct bsq_output *output, uint64_t size)
     return 0;
 }
 
+void bsq_output_skip(struct bsq_output *output, uint64_t size)
+{
+    output->position += size;
+}
+
 uint64_t bsq_output_tell(const struct bsq_output *output)
 {
     return output->position;

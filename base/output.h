@@ -43,6 +43,9 @@ int bsq_output_write_at(struct bsq_output *output, const void *buffer, uint64_t 
 /* Returns the position of the next bsq_output_write(). */
 uint64_t bsq_output_tell(const struct bsq_output *output);
 
+/* Leaves `size` bytes of space before the next bsq_output_write(), for bsq_output_write_at(). */
+void bsq_output_skip(struct bsq_output *output, uint64_t size);
+
 /* Opens what was written so far for reading, while the file has no final name yet. */
 int bsq_output_read(struct bsq_output *output, struct bsq_file *out);
 

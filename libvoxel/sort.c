@@ -7,6 +7,7 @@
 #include "base/context.h"
 #include "base/job_files.h"
 #include "libvoxel/chunk/chunk_writer.h"
+#include "libvoxel/normals/normals.h"
 #include "libvoxel/partition/partition.h"
 #include "libvoxel/sort_limits.h"
 #include "libvoxel/temp_tris.h"
@@ -56,10 +57,11 @@ static void report_totals(struct vox_sort_report *report, const struct fmt_mesh_
 }
 
 static int check_disk(struct bsq_ctx *ctx, const struct fmt_mesh_estimate *scan,
-                      const struct sort_limits *limits, const char *tris_path)
+                      const struct sort_limits *limits, const struct vox_sort_options *options)
 {
-    struct disk_space space = vox_disk_estimate(scan, limits);
-    return bsq_require_space(ctx, tris_path, space.output_bytes,
+    struct disk_space space =
+        vox_disk_estimate(scan, limits, options->scan_normals != BSQ_SCAN_NORMALS_FLAT);
+    return bsq_require_space(ctx, options->tris_path, space.output_bytes,
                              space.temp_bytes + scan->temp_bytes);
 }
 
@@ -187,7 +189,7 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     if (options->ids == VOX_IDS_OBJECT)
         fmt_mesh_use_objects(reader);
     BSQ_TRY(fmt_mesh_estimate(reader, &estimate));
-    BSQ_TRY(check_disk(ctx, &estimate, limits, options->tris_path));
+    BSQ_TRY(check_disk(ctx, &estimate, limits, options));
     BSQ_TRY(vox_textures_preview(ctx, reader, options->texture_path, estimate.texcoords > 0,
                                  &textures));
     status = read_passes(scan, reader, options, estimate.faces_come_last && !limits->two_passes,
@@ -235,8 +237,10 @@ _Static_assert((int)VOX_IDS_MATERIAL == (int)FMT_IDS_MATERIAL &&
                    (int)VOX_IDS_COLOR == (int)FMT_IDS_COLOR,
                "both have one order");
 
+/* Writes the chunks to *out, which the caller commits or discards. */
 static int write_chunks(const struct scan *scan, const struct partition *partition,
-                        const struct vox_sort_options *options, struct vox_sort_report *report)
+                        const struct vox_sort_options *options, struct vox_sort_report *report,
+                        struct fmt_tris_writer **out)
 {
     struct fmt_tris_header header = {
         .attributes = scan_stored_attributes(scan),
@@ -267,7 +271,7 @@ static int write_chunks(const struct scan *scan, const struct partition *partiti
         BSQ_TRY(fail_without_area(scan, batches.degenerate));
     BSQ_TRY(vox_partition_warn_colorless(scan, partition));
     fmt_tris_skip(writer, batches.degenerate);
-    status = commit(options, writer, scan->ctx, report);
+    *out = writer;
     writer = NULL;
 done:
     fmt_tris_discard(writer);
@@ -276,15 +280,37 @@ done:
 }
 
 static int sort_scan(const struct scan *scan, const struct vox_sort_options *options,
-                     const struct partition *partition, struct vox_sort_report *report)
+                     const struct partition *partition, struct vox_sort_report *report,
+                     struct fmt_tris_writer **out)
 {
     double start = bsq_seconds_now();
     bsq_progress_begin(scan->ctx, "writing", "triangles", partition->triangles);
-    int status = write_chunks(scan, partition, options, report);
+    int status = write_chunks(scan, partition, options, report, out);
     bsq_progress_end(scan->ctx);
     if (status == 0)
         report->unused_vertices = vox_partition_unused(scan, partition);
     report->seconds_sort = bsq_seconds_now() - start;
+    return status;
+}
+
+/* Makes the normals of a scan that has none. */
+static int sort_make_normals(struct bsq_ctx *ctx, const struct vox_sort_options *options,
+                             struct fmt_tris_writer *writer, struct vox_sort_report *report)
+{
+    const double start = bsq_seconds_now();
+    const enum bsq_scan_normals weights = options->scan_normals == BSQ_SCAN_NORMALS_AUTO
+                                              ? BSQ_SCAN_NORMALS_SMOOTH
+                                              : options->scan_normals;
+    struct fmt_tris_normals_writer *normals = NULL;
+    int status = 0;
+    if (report->has_normals || weights == BSQ_SCAN_NORMALS_FLAT)
+        return 0;
+    BSQ_TRY(fmt_tris_normals_begin(writer, &normals));
+    BSQ_TRY(vox_make_normals(ctx, normals, weights, options->tris_path));
+    status = fmt_tris_normals_end(normals, weights);
+done:
+    fmt_tris_normals_free(normals);
+    report->seconds_sort += bsq_seconds_now() - start;
     return status;
 }
 
@@ -311,6 +337,7 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
 {
     struct scan scan;
     struct partition partition = {0};
+    struct fmt_tris_writer *writer = NULL;
     uint64_t temp_before = bsq_temp_bytes(ctx);
     if (bsq_clear_report(ctx, "vox_sort_report", report, sizeof *report) < 0)
         return BSQ_EUSAGE;
@@ -321,10 +348,16 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
     BSQ_TRY(sort_check_channels(ctx, options));
     BSQ_TRY(names_tris(options) ? bsq_note_output(ctx, options->tris_path) : 0);
     BSQ_TRY(read_scan(&scan, limits, options, report, &partition));
-    status = sort_scan(&scan, options, &partition, report);
+    status = sort_scan(&scan, options, &partition, report, &writer);
 done:
     vox_partition_free(&scan, &partition);
     vox_scan_free(&scan);
+    if (status == 0)
+        status = sort_make_normals(ctx, options, writer, report);
+    if (status == 0)
+        status = commit(options, writer, ctx, report);
+    else
+        fmt_tris_discard(writer);
     report->temp_bytes = bsq_temp_bytes(ctx) - temp_before;
     return status;
 }

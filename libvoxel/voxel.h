@@ -90,6 +90,8 @@ struct vox_sort_options {
     bool tells_unkept;
     /** Copy the images of textures into the chunk file tris_path, except for textures of tiles. */
     bool embed_textures;
+    /** Vertex normals that the chunk file gets if the scan has none; FLAT: none. */
+    enum bsq_scan_normals scan_normals;
 };
 
 /** Bytes of a list of names in a report. What does not fit is left out. */
@@ -138,6 +140,26 @@ void vox_sort_defaults(struct vox_sort_options *options);
  * triangle that has an area; BSQ_ENOMEM, also if the budget is below vox_memory_min();
  * BSQ_ECANTCREAT; BSQ_EIO; BSQ_EINTR. */
 int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
+             struct vox_sort_report *report);
+
+/** What vox_join() reads and writes. The caller owns all strings and handles. */
+struct vox_join_options {
+    size_t size;                           /**< Of the structure, see bsq_check_size(). */
+    const char *const *tris_paths;         /**< Input: chunk files, in any order. */
+    uint32_t tris_count;                   /**< Number of tris_paths. */
+    const struct vox_temp_tris *temp_tris; /**< NULL, or one more part. */
+    const char *output_path;               /**< Output: a chunk file. */
+    /** Vertex normals that it gets if the scan has none. AUTO: those of the inputs if these have
+     * the same, else smooth ones. FLAT: none. */
+    enum bsq_scan_normals scan_normals;
+};
+
+/** Writes chunk files as one chunk file, with vertex normals that are smooth across their borders.
+ * One file alone gets other normals. Of *report, fills in triangles, chunks, tris_bytes,
+ * temp_bytes, origin, has_normals and seconds_sort. Errors: BSQ_ENOINPUT; BSQ_EDATA for a damaged
+ * file, and for some files with normals beside others; BSQ_ENOMEM, BSQ_ECANTCREAT, BSQ_EIO,
+ * BSQ_EINTR. */
+int vox_join(struct bsq_ctx *ctx, const struct vox_join_options *options,
              struct vox_sort_report *report);
 
 /** Reads the mesh files of a scan and keeps nothing, to measure the reader. Does not check the

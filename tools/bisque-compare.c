@@ -259,6 +259,7 @@ static int compare_tool_measure(struct cli *cli, const struct arguments *argumen
     options.scan_count = 1;
     options.tris_path = inputs[0];
     options.temp_tris = mesh;
+    options.scan_normals = BSQ_SCAN_NORMALS_FLAT; /* they are not used */
     BSQ_TRY(vox_sort(cli->ctx, &options, &report));
     status = vox_measure_mesh(cli->ctx, inputs + 1, count - 1, mesh, from_scan, from_mesh);
 done:

@@ -164,6 +164,7 @@ static int sort_meshes(struct cli *cli, const struct arguments *arguments,
     options.scan_count = arguments->scans.mesh_count;
     options.tris_path = arguments->paths[0];
     options.temp_tris = temp;
+    options.scan_normals = BSQ_SCAN_NORMALS_FLAT; /* they are not used */
     options.ids = arguments->simplify.keep_materials ? VOX_IDS_MATERIAL : VOX_IDS_NONE;
     return vox_sort(cli->ctx, &options, report);
 }

@@ -59,10 +59,13 @@ static int choose_tris_path(struct voxelize_job *job)
     const struct voxelize_arguments *arguments = job->arguments;
     job->temporary_tris = job->scans.mesh_count > 0 &&
                           (arguments->no_tris || (job->scans.chunk_count > 0 && !arguments->tris));
-    if (job->scans.mesh_count == 0)
+    job->joins = job->scans.chunk_count > 0 && arguments->sort_only;
+    if (arguments->sort_only)
+        job->tris_path = strdup(arguments->grid.grid_path);
+    else if (job->scans.mesh_count == 0)
         job->tris_path = strdup(arguments->inputs[0]);
-    else if (arguments->tris || arguments->sort_only)
-        job->tris_path = strdup(arguments->sort_only ? arguments->grid.grid_path : arguments->tris);
+    else if (arguments->tris)
+        job->tris_path = strdup(arguments->tris);
     else
         job->tris_path = default_tris_path(arguments->grid.grid_path);
     if (!job->tris_path)
@@ -105,6 +108,10 @@ static int voxelize_tool_sort_scan(struct voxelize_job *job)
     options->tris_path = job->tris_path;
     options->temp_tris = job->temp_tris;
     options->keeps_tris = !job->temporary_tris;
+    /* A part that nobody keeps gets its normals with the others. */
+    options->scan_normals = job->temporary_tris && job->scans.chunk_count > 0
+                                ? BSQ_SCAN_NORMALS_FLAT
+                                : arguments->grid.scan_normals;
     status = vox_sort(ctx, options, &job->sort);
 done:
     return status;
@@ -118,6 +125,18 @@ static int make_grid(struct voxelize_job *job)
     options->part_count = job->scans.chunk_count;
     options->temp_tris = job->temp_tris;
     return vox_voxelize(job->cli->ctx, options, &job->grid);
+}
+
+/* Writes all chunk files as one. */
+static int join_parts(struct voxelize_job *job)
+{
+    const struct vox_join_options options = {.size = sizeof options,
+                                             .tris_paths = job->scans.chunks,
+                                             .tris_count = job->scans.chunk_count,
+                                             .temp_tris = job->temp_tris,
+                                             .output_path = job->tris_path,
+                                             .scan_normals = job->arguments->grid.scan_normals};
+    return vox_join(job->cli->ctx, &options, &job->sort);
 }
 
 /* Adds the command that makes the grid from the chunk file, which is complete, to the message of an
@@ -156,12 +175,12 @@ static int do_work(struct voxelize_job *job)
     BSQ_TRY(choose_tris_path(job));
     BSQ_TRY(voxelize_tool_check_outputs(job));
     BSQ_TRY(bsq_temp_check(job->cli->ctx, arguments->grid.grid_path));
-    if (job->scans.mesh_count > 0 && !arguments->sort_only)
+    if (job->scans.mesh_count > 0 && (job->joins || !arguments->sort_only))
         BSQ_TRY(vox_temp_tris_create(job->cli->ctx, &job->temp_tris));
     if (job->scans.mesh_count > 0)
         BSQ_TRY(voxelize_tool_sort_scan(job));
     if (arguments->sort_only)
-        return 0;
+        return job->joins ? join_parts(job) : 0;
     status = make_grid(job);
     if (status == BSQ_EINTR && job->scans.mesh_count > 0 && !job->temporary_tris)
         tell_how_to_go_on(job);

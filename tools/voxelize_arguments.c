@@ -11,7 +11,7 @@
 static const char usage[] =
     "Usage: bisque-voxelize [OPTION]... SCAN.obj... -o SCAN.nvdb\n"
     "       bisque-voxelize [OPTION]... SCAN.tris... -o SCAN.nvdb\n"
-    "       bisque-voxelize [OPTION]... SCAN.obj... -o SCAN.tris\n"
+    "       bisque-voxelize [OPTION]... SCAN.obj|SCAN.tris... -o SCAN.tris\n"
     "       bisque-voxelize --info|--verify FILE...\n"
     "Turns a scan (a high-poly mesh) of any size into a sparse grid of surface voxels with normals\n"
     "and colours. Several files are read as one scan. The sorted triangles of meshes are kept in a chunk\n"
@@ -38,9 +38,10 @@ static const struct bsq_option rows[] = {
 
     {BSQ_ROW("scan-normals", "NAME",
              "for a scan without normals: smooth, flat; or smooth ones by\n"
-             "weight: area, angle or max (default: smooth, which is area)"),
-     .heading = "Scan", MEMBER(CHOICE, grid.scan_normals), .words = "smooth/area angle max flat",
-     .needs = GRID},
+             "weight: area, angle or max (default, auto: those of the chunk\n"
+             "file, smooth for meshes; smooth is area)"),
+     .heading = "Scan", MEMBER(CHOICE, grid.scan_normals),
+     .words = "auto smooth/area angle max flat"},
     {BSQ_ROW("channels", "LIST",
              "what else to keep in chunks and grid: id; for maps transfer:NAME,\n"
              "NAME of the materials, all of them, or NAME=FILE; none"),
@@ -309,9 +310,6 @@ int voxelize_arguments_check_part(struct cli *cli, const struct voxelize_argumen
     if (arguments->sort.placements)
         return cli_usage(cli, "%s is a chunk file: --scale, --up and --translate are for meshes",
                          part);
-    if (arguments->sort_only)
-        return cli_usage(cli, "%s: only meshes can be sorted, and an input is a chunk file",
-                         arguments->grid.grid_path);
     if (!beside_meshes && (option || images))
         return cli_usage(cli, "%s is already a chunk file: leave out %s%s", part,
                          option ? "--" : "", option ? option : "the images of --channels");

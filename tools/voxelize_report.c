@@ -73,7 +73,7 @@ static void print_kept(const struct voxelize_job *job)
 static void print_tris(const struct voxelize_job *job)
 {
     char size[CLI_TEXT], chunks[CLI_TEXT];
-    if (job->scans.mesh_count > 0 && !job->temporary_tris)
+    if (job->joins || (job->scans.mesh_count > 0 && !job->temporary_tris))
         cli_print("%s: %s, %s, %.2f s\n", job->tris_path,
                   cli_counted_text(job->sort.chunks, "chunk", "chunks", chunks),
                   cli_size_text(job->sort.tris_bytes, size), job->sort.seconds_sort);
@@ -145,17 +145,18 @@ static json_t *grid_json(const struct vox_voxelize_report *grid)
 static int voxelize_report_print_json(const struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
-    bool keeps_tris = !arguments->parse_only && !job->temporary_tris;
+    bool keeps_tris = !arguments->parse_only && (job->joins || !job->temporary_tris);
     const bool no_grid = arguments->parse_only || arguments->sort_only;
     json_t *inputs = json_array();
     for (uint32_t i = 0; i < arguments->input_count; i++)
         cli_json_append(&inputs, cli_json_text(arguments->inputs[i]));
-    json_t *root = json_pack("{s:o, s:o, s:o, s:o, s:o, s:o}", "inputs", inputs, "grid_path",
-                             cli_json_text(no_grid ? NULL : arguments->grid.grid_path), "tris_path",
-                             cli_json_text(keeps_tris ? job->tris_path : NULL), "vdb_path",
-                             cli_json_text(arguments->grid.vdb_path), "scan",
-                             job->scans.mesh_count == 0 ? json_null() : sort_json(&job->sort),
-                             "grid", no_grid ? json_null() : grid_json(&job->grid));
+    json_t *root =
+        json_pack("{s:o, s:o, s:o, s:o, s:o, s:o}", "inputs", inputs, "grid_path",
+                  cli_json_text(no_grid ? NULL : arguments->grid.grid_path), "tris_path",
+                  cli_json_text(keeps_tris ? job->tris_path : NULL), "vdb_path",
+                  cli_json_text(arguments->grid.vdb_path), "scan",
+                  job->scans.mesh_count == 0 && !job->joins ? json_null() : sort_json(&job->sort),
+                  "grid", no_grid ? json_null() : grid_json(&job->grid));
     return cli_print_json(job->cli, root);
 }
 
@@ -183,9 +184,9 @@ int voxelize_report_print(const struct voxelize_job *job)
     warn_of_stray_parts(job);
     if (job->cli->json)
         return voxelize_report_print_json(job);
-    if (job->scans.mesh_count > 0)
+    if (job->scans.mesh_count > 0 && !job->joins)
         print_read(job);
-    if (job->scans.mesh_count > 0 && !job->arguments->parse_only)
+    if (job->scans.mesh_count > 0 && !job->joins && !job->arguments->parse_only)
         print_kept(job);
     if (!job->arguments->parse_only)
         print_tris(job);

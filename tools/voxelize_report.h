@@ -9,7 +9,8 @@ struct voxelize_job {
     struct voxelize_arguments *arguments;
     struct cli_scans scans;          /* the inputs; owned */
     char *tris_path;                 /* of the chunk file; owned */
-    bool temporary_tris;             /* the chunk file is temporary: there is no file tris_path */
+    bool temporary_tris;             /* the sorted meshes are temporary: no file has them alone */
+    bool joins;                      /* chunk files become one, at tris_path */
     struct vox_temp_tris *temp_tris; /* the chunk file that this job writes, or NULL; owned */
     struct vox_sort_report sort;
     struct vox_voxelize_report grid;

@@ -58,6 +58,8 @@ struct fmt_tris_header {
     struct fmt_tris_material *materials;
     /* By name: that of a triangle's material, or "" without one. By colour: of the vertices. */
     enum fmt_ids ids;
+    enum bsq_scan_normals
+        made_normals; /* weights of the normals that were made; 0: there are none */
     uint32_t channel_count;
     char **channels;    /* names, see formats/material/channels.h */
     bool embeds_images; /* for a writer: copy those images of textures that are single files */
@@ -74,6 +76,24 @@ struct fmt_tris_chunk_info {
     float bounds_min[3], bounds_max[3]; /* of its triangles, relative to origin */
     uint64_t checksum;                  /* of its bytes */
     uint64_t sample_checksum;           /* of its sample's bytes; 0: it has none */
+    /* Of the section of normals, all 0 without one. */
+    uint64_t normals_offset, creases_offset;
+    uint64_t normals_checksum; /* of the bytes of its normals and of its creases */
+    uint32_t crease_count, reserved;
+};
+
+/* A vertex whose triangles have two sides, each with a normal. */
+struct fmt_tris_crease {
+    uint32_t vertex, reserved;
+    uint64_t second; /* the normal of the second side; that of the first is the vertex's */
+};
+
+/* Vertex normals of a chunk that were made from triangles (base/geometry/vertex_normal.h). Those at
+ * creases hold for triangles whose plane they are closer to than 45 degrees. */
+struct fmt_tris_normals {
+    const uint64_t *vertices;
+    const struct fmt_tris_crease *creases; /* by vertex */
+    uint32_t crease_count;
 };
 
 /* A chunk in memory. Attributes that the file does not have are NULL. */
@@ -94,6 +114,8 @@ bool fmt_tris_has_color(const struct fmt_tris_header *header);
 /* Recognises a chunk file of any version by its first bytes. `size` may be less than 8 only if the
  * file is shorter: then it is one that is cut off, if they fit and its name ends in ".tris". */
 bool fmt_tris_recognise(const char *path, const char *first, uint64_t size);
+
+struct fmt_tris_file;
 
 /* ---- writing ---- */
 struct fmt_tris_writer;
@@ -125,8 +147,37 @@ int fmt_tris_create_temp(struct bsq_ctx *ctx, const char *beside,
 int fmt_tris_commit(struct fmt_tris_writer *writer, struct bsq_file *out);
 void fmt_tris_discard(struct fmt_tris_writer *writer); /* NULL is allowed */
 
+/* ---- writing made normals ---- */
+struct fmt_tris_normals_writer;
+
+/* Starts the section of normals of a file all of whose chunks were appended. Errors: BSQ_ENOMEM,
+ * BSQ_EIO. */
+int fmt_tris_normals_begin(struct fmt_tris_writer *writer, struct fmt_tris_normals_writer **out);
+/* Starts a section for an open file in a temporary file (bsq_file_temp()) instead, which takes the
+ * place of the file's own until it is closed. */
+int fmt_tris_normals_begin_temp(struct fmt_tris_file *file, const char *beside,
+                                struct fmt_tris_normals_writer **out);
+/* Returns the file whose chunks need normals. Only its chunks may be loaded. */
+const struct fmt_tris_file *fmt_tris_normals_file(const struct fmt_tris_normals_writer *writer);
+/* Writes, and reads back, the normals of a chunk's vertices. Thread-safe. */
+int fmt_tris_normals_put(struct fmt_tris_normals_writer *writer, uint64_t chunk,
+                         const uint64_t *normals);
+int fmt_tris_normals_get(struct fmt_tris_normals_writer *writer, uint64_t chunk, uint64_t *normals);
+/* Returns the checksum of the normals of vertices and of the creases, which follow them in memory.
+ */
+uint64_t fmt_tris_normals_checksum(const uint64_t *normals, uint32_t vertex_count,
+                                   uint32_t crease_count);
+/* Completes a chunk after its last fmt_tris_normals_put(): appends its creases, and sets its entry
+ * of the table. Call it for all chunks in their order, one at a time. */
+int fmt_tris_normals_finish(struct fmt_tris_normals_writer *writer, uint64_t chunk,
+                            const struct fmt_tris_crease *creases, uint32_t crease_count,
+                            uint64_t checksum);
+/* Ends the section; the normals were made with these weights. */
+int fmt_tris_normals_end(struct fmt_tris_normals_writer *writer, enum bsq_scan_normals weights);
+/* Frees the writer; NULL is allowed. A section that was not ended does not count. */
+void fmt_tris_normals_free(struct fmt_tris_normals_writer *writer);
+
 /* ---- reading ---- */
-struct fmt_tris_file;
 
 /* Opens a file; checks header, materials and chunk table, and all sizes before memory is allocated.
  * Errors: BSQ_ENOINPUT; BSQ_EDATA naming what is wrong, and the version if it is unknown. */
@@ -149,6 +200,12 @@ int fmt_tris_can_join(struct bsq_ctx *ctx, const char *const *paths, uint32_t pa
 int fmt_tris_require_ids(const struct fmt_tris_file *file);
 /* Checks alike that a scan has a channel, which all of its files must have. */
 int fmt_tris_require_channel(const struct fmt_tris_file *file, const char *name);
+/* Returns the weights by which all files of a scan have made normals, 0 if none has any, and SMOOTH
+ * if they differ. Several files have no made normals together, as these lack the triangles of the
+ * other files. */
+enum bsq_scan_normals fmt_tris_parts_normals(const struct fmt_tris_file *file);
+/* Returns whether images of textures lie in the files. */
+bool fmt_tris_has_images(const struct fmt_tris_file *file);
 void fmt_tris_close(struct fmt_tris_file *file);
 const struct fmt_tris_header *fmt_tris_get_header(const struct fmt_tris_file *file);
 /* Returns the checksum of a single file's header, which covers those of all other parts. So files
@@ -173,6 +230,13 @@ int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratc
  * errors are those of fmt_tris_load(). */
 int fmt_tris_load_sample(const struct fmt_tris_file *file, uint64_t index, void *scratch,
                          struct fmt_tris_chunk *out, bool *found);
+/* Return the bytes of scratch that fmt_tris_load_normals() needs for any chunk. */
+uint64_t fmt_tris_normals_size_max(const struct fmt_tris_file *file);
+/* Reads the made normals of a chunk into `scratch` (8-byte aligned), to which *out points. Checks
+ * checksum and vertex numbers. The file must have such normals. Thread-safe for distinct scratch.
+ * Errors: those of fmt_tris_load(). */
+int fmt_tris_load_normals(const struct fmt_tris_file *file, uint64_t index, void *scratch,
+                          struct fmt_tris_normals *out);
 /* Checks all of FORMATS.md that fmt_tris_open() does not: loads each chunk and compares it with its
  * entry in the table. Uses all threads if the budget has space for a chunk for each, else one.
  * *vertices (may be NULL) is the sum of all chunks' vertex counts. Errors: BSQ_EDATA naming the

@@ -27,14 +27,15 @@ struct tris_file_header {
     double origin[3];
     float bounds_min[3];
     float bounds_max[3];
-    uint64_t chunks_offset; /* images are before the chunks, materials and table after them */
+    uint64_t chunks_offset; /* images are before the chunks; made normals, materials and table
+                               follow */
     uint64_t materials_offset;
     uint64_t table_offset;
     uint64_t file_bytes;
     uint32_t material_count;
     uint32_t channel_count;
-    uint32_t ids; /* enum fmt_ids */
-    uint32_t reserved;
+    uint32_t ids;             /* enum fmt_ids */
+    uint32_t made_normals;    /* enum bsq_scan_normals, or 0 */
     uint64_t images_checksum; /* of the bytes from the header's end to chunks_offset */
     uint64_t materials_checksum;
     uint64_t table_checksum;
@@ -63,7 +64,7 @@ static inline uint64_t tris_material_bytes(uint32_t channels)
 enum { TRIS_COLORLESS = 1, TRIS_TINTED = 2, TRIS_WRAP_SHIFT = 8 };
 
 /* Entries of the table are in the file as they are in memory. */
-_Static_assert(sizeof(struct fmt_tris_chunk_info) == 72, "the entry has no padding");
+_Static_assert(sizeof(struct fmt_tris_chunk_info) == 104, "the entry has no padding");
 
 /* A record of a sample. Coordinates are in units of 1/65535 of the chunk's bounds. */
 struct tris_surfel {
@@ -158,7 +159,8 @@ struct fmt_tris_file {
     uint64_t image_count, image_capacity;
     uint64_t chunks_offset, images_checksum; /* of the header, like the next one */
     uint64_t checksum;
-    uint64_t load_size_max;
+    uint64_t load_size_max, normals_size_max;
+    struct bsq_file normals; /* a temporary file with the made normals; closed: `file` has them */
     /* Of several files as one scan; then `file` has only a path, that of the first part. */
     struct tris_part *parts;
     uint32_t part_count;
@@ -171,6 +173,28 @@ struct fmt_tris_file {
 /* Reads bytes of the file as it was when it was opened. */
 int fmt_tris_read_unchanged(const struct fmt_tris_file *file, void *to, uint64_t bytes,
                             uint64_t offset);
+
+/* ---- tris_normals.c ---- */
+
+/* Returns the bytes of the normals and creases of a chunk. */
+static inline uint64_t tris_normals_bytes(const struct fmt_tris_chunk_info *info)
+{
+    return info->vertex_count * sizeof(uint64_t) +
+           info->crease_count * sizeof(struct fmt_tris_crease);
+}
+
+/* ---- tris_write.c ---- */
+
+/* Opens the chunks that were written so far, for loading only. Close *out before the writer. */
+int fmt_tris_open_written(const struct fmt_tris_writer *writer, struct fmt_tris_file **out);
+/* Returns the output. */
+struct bsq_output *fmt_tris_writer_output(const struct fmt_tris_writer *writer);
+/* Adds a section of normals to the header, and to the chunks' entries what `infos` say of it. */
+void fmt_tris_writer_add_normals(struct fmt_tris_writer *writer, enum bsq_scan_normals weights,
+                                 const struct fmt_tris_chunk_info *infos);
+
+/* Reports damage of a chunk of an open file; returns BSQ_EDATA. */
+int fmt_tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what);
 
 /* ---- tris_sample.c ---- */
 

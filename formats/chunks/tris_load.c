@@ -10,6 +10,7 @@
 #include <inttypes.h>
 #include <xxhash.h>
 
+#include "base/geometry/vertex_normal.h"
 #include "base/parallel.h"
 
 int fmt_tris_read_unchanged(const struct fmt_tris_file *file, void *to, uint64_t bytes,
@@ -110,7 +111,7 @@ static bool materials_known(const struct fmt_tris_chunk *chunk, uint32_t materia
     return !unknown;
 }
 
-static int damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what)
+int fmt_tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what)
 {
     return bsq_fail(file->ctx, BSQ_EDATA, "%s: damaged chunk file: chunk %" PRIu64 ": %s",
                     file->file.path, index, what);
@@ -149,22 +150,22 @@ int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratc
     if (status < 0)
         return status;
     if (XXH3_64bits(bytes, l.bytes) != info->checksum)
-        return damaged_chunk(file, index, "the checksum does not match");
+        return fmt_tris_damaged_chunk(file, index, "the checksum does not match");
     if (!tris_all_zero(bytes + l.end, l.bytes - l.end))
-        return damaged_chunk(file, index, "its padding is not zero");
+        return fmt_tris_damaged_chunk(file, index, "its padding is not zero");
     out->triangle_count = info->triangle_count;
     out->vertex_count = info->vertex_count;
     place_chunk(out, bytes, &l, attributes);
     uint32_t max = l.short_indices ? widen_indices(bytes + l.triangles, 3 * info->triangle_count)
                                    : largest_index(out->triangles[0], 3 * info->triangle_count);
     if (max >= info->vertex_count)
-        return damaged_chunk(file, index, "an index is out of range");
+        return fmt_tris_damaged_chunk(file, index, "an index is out of range");
     if (!positions_inside(out, info))
-        return damaged_chunk(file, index, "a vertex is outside of the bounds");
+        return fmt_tris_damaged_chunk(file, index, "a vertex is outside of the bounds");
     if (out->texcoords && !texcoords_finite(out))
-        return damaged_chunk(file, index, "a texture coordinate is not finite");
+        return fmt_tris_damaged_chunk(file, index, "a texture coordinate is not finite");
     if (out->materials && !materials_known(out, file->header.material_count))
-        return damaged_chunk(file, index, "a material number is out of range");
+        return fmt_tris_damaged_chunk(file, index, "a material number is out of range");
     return 0;
 }
 
@@ -238,6 +239,21 @@ static const char *tris_fault_of(const struct fmt_tris_chunk *chunk,
     return colors_opaque(chunk) ? NULL : "a colour is not opaque";
 }
 
+/* Verifies the made normals of a chunk. */
+static int verify_made_normals(const struct verify *v, uint64_t index, uint8_t *bytes)
+{
+    struct fmt_tris_normals normals;
+    bool valid = true;
+    int status = fmt_tris_load_normals(v->file, index, bytes, &normals);
+    if (status < 0)
+        return status;
+    for (uint32_t i = 0; i < v->file->chunks[index].vertex_count; i++)
+        valid &= bsq_vertex_normal_valid(normals.vertices[i]);
+    for (uint32_t i = 0; i < normals.crease_count; i++)
+        valid &= bsq_vertex_normal_valid(normals.creases[i].second);
+    return valid ? 0 : fmt_tris_damaged_chunk(v->file, index, "a made normal is not valid");
+}
+
 static int verify_chunk(void *arg, uint64_t index, unsigned worker)
 {
     const struct verify *v = arg;
@@ -252,7 +268,9 @@ static int verify_chunk(void *arg, uint64_t index, unsigned worker)
     assert(chunk.positions && chunk.triangles);
     const char *fault = tris_fault_of(&chunk, info, bytes + v->chunk_bytes);
     bsq_progress_add(v->ctx, info->size_bytes);
-    return fault ? damaged_chunk(v->file, index, fault) : 0;
+    if (fault)
+        return fmt_tris_damaged_chunk(v->file, index, fault);
+    return v->file->header.made_normals != 0 ? verify_made_normals(v, index, bytes) : 0;
 }
 
 /* Checks that the header's bounds are exactly those of all chunks. */
@@ -318,6 +336,8 @@ int fmt_tris_verify(const struct fmt_tris_file *file, uint64_t *vertices)
     }
     struct verify v = {.file = file, .ctx = file->ctx};
     v.chunk_bytes = bsq_align_up(fmt_tris_load_size_max(file), 8);
+    if (v.chunk_bytes < file->normals_size_max)
+        v.chunk_bytes = file->normals_size_max;
     v.worker_bytes = v.chunk_bytes + bsq_align_up(most, 8);
     int status = verify_bounds(&v);
     if (status == 0)

@@ -82,8 +82,11 @@ static int tris_check_header(const struct fmt_tris_file *file, const struct tris
                         "%s: damaged chunk file: it has %" PRIu64
                         " bytes, its header says %" PRIu64,
                         file->file.path, file->file.size, h->file_bytes);
-    if ((h->attributes & ~TRIS_ATTRIBUTES) != 0 || h->reserved != 0)
+    if ((h->attributes & ~TRIS_ATTRIBUTES) != 0)
         return fmt_tris_damaged(file, "unknown attributes");
+    if (h->made_normals >= BSQ_SCAN_NORMALS_FLAT ||
+        (h->made_normals != 0 && h->attributes & FMT_TRIS_NORMALS))
+        return fmt_tris_damaged(file, "unknown normals");
     if (h->ids > FMT_IDS_COLOR)
         return fmt_tris_damaged(file, "unknown ids");
     return check_parts(file, h);
@@ -99,6 +102,7 @@ static void copy_header(struct fmt_tris_file *file, const struct tris_file_heade
     to->skipped_triangles = h->skipped_triangles;
     to->material_count = h->material_count;
     to->ids = (enum fmt_ids)h->ids;
+    to->made_normals = (enum bsq_scan_normals)h->made_normals;
     memcpy(to->origin, h->origin, sizeof to->origin);
     memcpy(to->bounds_min, h->bounds_min, sizeof to->bounds_min);
     memcpy(to->bounds_max, h->bounds_max, sizeof to->bounds_max);
@@ -331,6 +335,36 @@ static bool chunk_info_valid(uint32_t attributes, const struct fmt_tris_chunk_in
            bounds_valid(info->bounds_min, info->bounds_max);
 }
 
+/* Checks the places of normals, which follow each other: those of all vertices, then all creases.
+ * chunks_end: where the chunks end. */
+static int check_normals_places(struct fmt_tris_file *file, const struct tris_file_header *h,
+                                uint64_t chunks_end)
+{
+    uint64_t normals = chunks_end, creases = chunks_end;
+    bool valid = true;
+    for (uint64_t i = 0; i < h->chunk_count; i++)
+        creases += file->chunks[i].vertex_count * sizeof(uint64_t);
+    for (uint64_t i = 0; i < h->chunk_count && h->made_normals != 0; i++) {
+        const struct fmt_tris_chunk_info *info = &file->chunks[i];
+        valid &= info->normals_offset == normals && info->creases_offset == creases &&
+                 info->crease_count <= info->vertex_count && info->reserved == 0;
+        normals += info->vertex_count * sizeof(uint64_t);
+        creases += info->crease_count * sizeof(struct fmt_tris_crease);
+        if (tris_normals_bytes(info) > file->normals_size_max)
+            file->normals_size_max = tris_normals_bytes(info);
+    }
+    for (uint64_t i = 0; i < h->chunk_count && h->made_normals == 0; i++) {
+        const struct fmt_tris_chunk_info *info = &file->chunks[i];
+        valid &= (info->normals_offset | info->creases_offset | info->normals_checksum) == 0 &&
+                 (info->crease_count | info->reserved) == 0;
+    }
+    if (!valid)
+        return fmt_tris_damaged(file, "the places of normals are not valid");
+    return (h->made_normals != 0 ? creases : chunks_end) == h->materials_offset
+               ? 0
+               : fmt_tris_damaged(file, "the chunk table does not cover the file");
+}
+
 static int parse_table(struct fmt_tris_file *file, const struct tris_file_header *h)
 {
     int status = bsq_alloc(file->ctx, "chunk table", h->chunk_count + 1, sizeof *file->chunks,
@@ -353,9 +387,9 @@ static int parse_table(struct fmt_tris_file *file, const struct tris_file_header
         if (bytes > file->load_size_max)
             file->load_size_max = bytes;
     }
-    if (offset != h->materials_offset || triangles != h->triangle_count)
+    if (triangles != h->triangle_count)
         return fmt_tris_damaged(file, "the chunk table does not cover the file");
-    return 0;
+    return check_normals_places(file, h, offset);
 }
 
 static int check_bounds(const struct fmt_tris_file *file)
@@ -407,6 +441,7 @@ static int tris_open_file(struct bsq_ctx *ctx, struct bsq_file *input, struct fm
     }
     file->ctx = ctx;
     file->file = *input;
+    file->normals = (struct bsq_file)BSQ_FILE_CLOSED;
     status = open_parts(file);
     bsq_free(ctx, file->tail);
     file->tail = NULL;
@@ -440,6 +475,7 @@ void fmt_tris_close(struct fmt_tris_file *file)
     struct bsq_ctx *ctx = file->ctx;
     fmt_tris_close_parts(file);
     bsq_file_close(ctx, &file->file);
+    bsq_file_close(ctx, &file->normals);
     bsq_free(ctx, file->header.materials);
     bsq_free(ctx, file->header.channels);
     bsq_free(ctx, file->sources);
@@ -449,6 +485,24 @@ void fmt_tris_close(struct fmt_tris_file *file)
         bsq_free(ctx, file->images[i]);
     bsq_free(ctx, file->images);
     bsq_free(ctx, file);
+}
+
+enum bsq_scan_normals fmt_tris_parts_normals(const struct fmt_tris_file *file)
+{
+    enum bsq_scan_normals all = file->header.made_normals;
+    for (uint32_t i = 0; i < file->part_count; i++) {
+        const enum bsq_scan_normals one = file->parts[i].file->header.made_normals;
+        all = i == 0 || all == one ? one : BSQ_SCAN_NORMALS_SMOOTH;
+    }
+    return all;
+}
+
+bool fmt_tris_has_images(const struct fmt_tris_file *file)
+{
+    bool any = file->image_count > 0;
+    for (uint32_t i = 0; i < file->part_count; i++)
+        any |= file->parts[i].file->image_count > 0;
+    return any;
 }
 
 const struct fmt_tris_header *fmt_tris_get_header(const struct fmt_tris_file *file)

@@ -221,6 +221,7 @@ static int join_chunks(struct fmt_tris_file *all, struct tris_part *part)
     for (uint64_t i = 0; i < from->chunk_count; i++) {
         struct fmt_tris_chunk_info *info = &all->chunks[to->chunk_count++];
         *info = part->file->chunks[i];
+        info->crease_count = 0;
         info->first_triangle += to->triangle_count;
         for (int axis = 0; axis < 3; axis++) {
             info->bounds_min[axis] = moved(info->bounds_min[axis], part->shift[axis]);
@@ -243,7 +244,8 @@ static int join_chunks(struct fmt_tris_file *all, struct tris_part *part)
 static void begin_header(struct fmt_tris_file *all)
 {
     all->header = all->parts[0].file->header;
-    all->header.channels = NULL; /* each part owns its own */
+    all->header.made_normals = 0; /* they lack the other parts' triangles */
+    all->header.channels = NULL;  /* each part owns its own */
     all->header.channel_count = 0;
     all->header.materials = NULL;
     all->header.triangle_count = all->header.chunk_count = 0;
@@ -352,7 +354,7 @@ int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t 
     if (status < 0)
         return status;
     all->ctx = ctx;
-    all->file = (struct bsq_file)BSQ_FILE_CLOSED;
+    all->file = all->normals = (struct bsq_file)BSQ_FILE_CLOSED;
     BSQ_TRY(open_all(all, paths, path_count, temp));
     bsq_sort(all->parts, all->part_count, sizeof *all->parts, compare_parts);
     all->file.path = strdup(all->parts[0].file->file.path);

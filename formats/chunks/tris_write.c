@@ -373,6 +373,8 @@ int fmt_tris_append(struct fmt_tris_writer *writer, const void *encoded, uint64_
         return status;
     struct fmt_tris_chunk_info *entry = &writer->table[h->chunk_count];
     *entry = *info;
+    entry->normals_offset = entry->creases_offset = entry->normals_checksum = 0;
+    entry->crease_count = entry->reserved = 0;
     entry->offset = bsq_output_tell(writer->output);
     entry->size_bytes = size;
     entry->first_triangle = h->triangle_count;
@@ -387,6 +389,47 @@ int fmt_tris_append(struct fmt_tris_writer *writer, const void *encoded, uint64_
 void fmt_tris_skip(struct fmt_tris_writer *writer, uint64_t triangles)
 {
     writer->header.skipped_triangles += triangles;
+}
+
+int fmt_tris_open_written(const struct fmt_tris_writer *writer, struct fmt_tris_file **out)
+{
+    const struct tris_file_header *h = &writer->header;
+    struct fmt_tris_file *file;
+    int status = bsq_calloc(writer->ctx, "chunk file", 1, sizeof *file, &file);
+    *out = NULL;
+    if (status < 0)
+        return status;
+    file->ctx = writer->ctx;
+    file->file = file->normals = (struct bsq_file)BSQ_FILE_CLOSED;
+    file->header.attributes = h->attributes;
+    file->header.chunk_count = h->chunk_count;
+    file->header.triangle_count = h->triangle_count;
+    file->header.material_count = h->material_count;
+    BSQ_TRY(bsq_alloc(file->ctx, "chunk table", h->chunk_count + 1, sizeof *file->chunks,
+                      &file->chunks));
+    for (uint64_t i = 0; i < h->chunk_count; i++) {
+        file->chunks[i] = writer->table[i];
+        const uint64_t bytes = tris_load_size(h->attributes, &file->chunks[i]);
+        file->load_size_max = bytes > file->load_size_max ? bytes : file->load_size_max;
+    }
+    BSQ_TRY(bsq_output_read(writer->output, &file->file));
+    *out = file;
+    file = NULL;
+done:
+    fmt_tris_close(file);
+    return status;
+}
+
+struct bsq_output *fmt_tris_writer_output(const struct fmt_tris_writer *writer)
+{
+    return writer->output;
+}
+
+void fmt_tris_writer_add_normals(struct fmt_tris_writer *writer, enum bsq_scan_normals weights,
+                                 const struct fmt_tris_chunk_info *infos)
+{
+    writer->header.made_normals = weights;
+    memcpy(writer->table, infos, writer->header.chunk_count * sizeof *infos);
 }
 
 /* Writes materials, table and header. */

@@ -25,24 +25,46 @@ done:
     return status;
 }
 
+/* Chooses the normals of hits. */
+static int exact_choose_normals(struct bake_exact *exact)
+{
+    const enum bsq_scan_normals wanted = exact->options.normals, has = exact->header->made_normals;
+    const char *path = exact->options.path;
+    if (exact->header->attributes & FMT_TRIS_NORMALS || wanted == BSQ_SCAN_NORMALS_FLAT)
+        return 0;
+    exact->smooth = has != 0;
+    if (wanted == BSQ_SCAN_NORMALS_AUTO || wanted == has)
+        return 0;
+    static const char *const names[] = {"auto", "area", "angle", "max"};
+    return bsq_fail(
+        exact->ctx, BSQ_EUSAGE,
+        "%s has %s normals: \"bisque-voxelize %s -o FILE.tris --scan-normals %s\" makes "
+        "a file with those",
+        path,
+        has == 0                       ? "no"
+        : has == BSQ_SCAN_NORMALS_AREA ? "smooth (area)"
+                                       : names[has],
+        path, names[wanted]);
+}
+
 static int exact_open_file(struct bake_exact *exact)
 {
-    int status = fmt_tris_open_parts(exact->ctx, exact->options.paths, exact->options.path_count,
-                                     NULL, &exact->file);
+    int status = fmt_tris_open(exact->ctx, exact->options.path, &exact->file);
     if (status < 0)
         return status;
     exact->header = fmt_tris_get_header(exact->file);
     exact->shading = (struct fmt_shading){.ctx = exact->ctx,
-                                          .path = exact->options.paths[0],
+                                          .path = exact->options.path,
                                           .file = exact->file,
                                           .header = exact->header};
     exact->chunks = fmt_tris_chunks(exact->file);
     if (exact->header->chunk_count == 0 || exact->header->chunk_count > EXACT_TREE_BOXES)
         return bsq_fail(exact->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks: must be 1 to %" PRIu32,
-                        exact->options.paths[0], exact->header->chunk_count, EXACT_TREE_BOXES);
+                        exact->options.path, exact->header->chunk_count, EXACT_TREE_BOXES);
     exact->chunk_count = (uint32_t)exact->header->chunk_count;
     exact->simd = bsq_simd_best();
-    return build_chunk_tree(exact);
+    status = exact_choose_normals(exact);
+    return status < 0 ? status : build_chunk_tree(exact);
 }
 
 int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *options,

@@ -17,14 +17,13 @@
 struct bake_exact;
 
 struct bake_exact_options {
-    const char *const *paths; /* chunk files that are one scan; live until bake_exact_close() */
-    uint32_t path_count;
-    enum bsq_scan_normals normals; /* if the scan has none of its own */
+    const char *path;              /* the chunk file; lives until bake_exact_close() */
+    enum bsq_scan_normals normals; /* if the scan has none of its own; those that the file has */
     bool two_sided;                /* also hit surfaces that face away; turns their normals */
 };
 
-/* Opens a scan; close *out with bake_exact_close(). Errors: those of fmt_tris_open(), BSQ_ENOMEM.
- */
+/* Opens a scan; close *out with bake_exact_close(). Errors: those of fmt_tris_open(), BSQ_ENOMEM;
+ * BSQ_EUSAGE if the file has other normals than these. */
 int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *options,
                     struct bake_exact **out);
 void bake_exact_close(struct bake_exact *exact); /* NULL is allowed */

@@ -6,7 +6,6 @@
 #include <math.h>
 #include <pthread.h>
 
-#include "base/geometry/positions.h"
 #include "base/simd/simd.h"
 #include "base/geometry/smooth_normals.h"
 #include "formats/shading/shading.h"
@@ -20,6 +19,7 @@ struct bake_exact {
     const struct fmt_tris_header *header;
     const struct fmt_tris_chunk_info *chunks;
     uint32_t chunk_count;
+    bool smooth;            /* hits take the vertex normals that were made */
     enum bsq_simd simd;     /* instructions for tracing */
     struct exact_tree tree; /* over the chunks' bounds */
     void *tree_memory;
@@ -52,17 +52,9 @@ static inline uint32_t exact_wave_slots(const struct bake_exact *exact)
     return EXACT_SLOTS_A_THREAD * bsq_threads(exact->ctx);
 }
 
-/* Returns whether hits need vertex normals that have to be summed. */
-static inline bool exact_needs_smooth(const struct bake_exact *exact)
-{
-    return !(exact->header->attributes & FMT_TRIS_NORMALS) &&
-           exact->options.normals != BSQ_SCAN_NORMALS_FLAT;
-}
-
 /* ---- a chunk in memory ---- */
 
-/* Triangles, and positions, whose common bounds are kept; and triangles of a leaf of the tree. */
-enum { EXACT_GROUP = BSQ_POSITIONS_BATCH, EXACT_RUN = 8 };
+enum { EXACT_RUN = 8 /* triangles of a leaf of the tree */ };
 
 static inline uint32_t exact_runs(uint32_t triangles)
 {
@@ -96,75 +88,25 @@ LANES_INLINE void exact_run_set(const struct fmt_tris_chunk *chunk, uint32_t run
     exact_node_set(out, low, high, 0);
 }
 
-struct exact_chunk {
-    struct fmt_tris_chunk tris;
-    struct exact_box *groups; /* bounds of each EXACT_GROUP triangles; NULL: not set */
-};
-
-/* Sums of normals by position; see exact_smooth.c. */
-struct exact_smooth {
-    struct bsq_positions table;
-    uint64_t *filter;   /* of positions in the table */
-    uint32_t *entry_of; /* of each vertex of the chunk: index into sums[]; 0: not needed */
-    float (*positions)[3];
-    struct exact_box *groups; /* bounds of each EXACT_GROUP positions */
-    struct exact_box *shared; /* of those of them that are in another chunk */
-    /* Of one-rings (base/geometry/smooth_normals.h), from index 1: two rows each, and of creases
-     * likewise.
-     */
-    double (*sums)[4], (*creases)[4], (*seconds)[4];
-    uint32_t *crease_of; /* 0: no crease */
-    uint32_t count;
-};
-
-enum { EXACT_RING_ROWS = 2 }; /* weighted normals; unit normals */
-
-/* Returns the number of groups of positions. */
-static inline uint32_t exact_groups(uint32_t positions)
-{
-    return (positions + EXACT_GROUP - 1) / EXACT_GROUP;
-}
-
-/* Most positions that are looked up are not in the table. Two bits of a word tell so of nearly all
- * of them without a look at the table, which is too large for a small cache (Bloom, "Space/Time
- * Trade-offs in Hash Coding with Allowable Errors", 1970). */
-static inline uint64_t *exact_filter_word(const struct exact_smooth *s, uint32_t hash)
-{
-    return &s->filter[(hash & s->table.mask) / 64];
-}
-
-static inline uint64_t exact_filter_bits(uint32_t hash)
-{
-    return UINT64_C(1) << hash % 64 | UINT64_C(1) << (hash >> 26);
-}
-
 /* Memory for a chunk, and what is computed from it. */
 struct exact_slot {
     uint32_t number; /* of the chunk */
     bool loaded;
-    struct exact_chunk chunk;
+    struct fmt_tris_chunk chunk;
     struct exact_tree tree;
-    struct exact_box8 *runs; /* boxes of their triangles; NULL: these are not kept */
-    struct exact_smooth smooth;
-    void *chunk_memory, *tree_memory, *smooth_memory;
-    bool needed;    /* has hits whose normals are summed */
-    uint32_t *near; /* chunks with triangles at vertices whose normals are summed, ascending */
-    uint32_t near_count;
-};
-
-/* Buffers of a thread while it prepares a slot. */
-struct exact_scratch {
-    void *boxes;     /* of a chunk's runs */
-    void *neighbour; /* another chunk */
-    uint32_t *map;   /* of its vertices */
+    struct exact_box8 *runs;         /* boxes of their triangles; NULL: these are not kept */
+    struct fmt_tris_normals normals; /* that were made; while hits are evaluated, in tree_memory */
+    void *chunk_memory, *tree_memory;
+    bool hit; /* some hits are in its chunk */
 };
 
 /* The slots of a wave of chunks. */
 struct exact_slots {
     uint32_t count, preparers; /* slots; threads that may prepare them at the same time */
     struct exact_slot *slots;
-    struct exact_scratch *scratches; /* of each preparer */
-    void *memory;                    /* holds the buffers of all slots and scratches */
+    char *boxes; /* of each preparer, boxes_bytes for the runs of a chunk */
+    uint64_t boxes_bytes;
+    void *memory; /* holds the buffers of all slots and preparers */
 };
 
 /* Allocates 1 to `most` slots, as many as fit `memory` bytes. runs: the boxes of triangles are
@@ -177,22 +119,10 @@ void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots);
 void bake_exact_take_areas(const struct bake_exact *exact, uint32_t number,
                            const struct fmt_tris_chunk *chunk);
 
-/* Returns the bytes of memory that any chunk fits. */
-uint64_t bake_exact_chunk_bytes(const struct bake_exact *exact);
-/* Loads a chunk. Errors: those of fmt_tris_load(). */
-int bake_exact_load(const struct bake_exact *exact, uint32_t number, void *memory,
-                    struct exact_chunk *out);
-/* Sets the groups of a chunk that was loaded into `memory`, unless they are set. */
-void bake_exact_set_groups(const struct bake_exact *exact, void *memory, struct exact_chunk *chunk);
 /* Loads the chunk of a slot, or its sample, unless it is loaded, and builds the tree of the bounds
  * of each EXACT_RUN triangles. Workers may prepare different slots at the same time. */
 int bake_exact_slot_prepare(const struct bake_exact *exact, const struct exact_slots *slots,
                             bool sampled, uint64_t index, unsigned worker);
-/* Returns the buffers of a worker that prepares a slot. */
-const struct exact_scratch *bake_exact_scratch(const struct bake_exact *exact,
-                                               const struct exact_slots *slots, uint64_t slot,
-                                               unsigned worker);
-
 /* The hit of a ray that wins so far. */
 struct exact_best {
     double t;
@@ -288,79 +218,14 @@ int bake_exact_sort_rays(const struct bake_exact *exact, const struct bake_exact
 /* Returns the bytes that sorting needs besides the buckets. */
 uint64_t bake_exact_buckets_scratch_bytes(const struct bake_exact *exact);
 
-/* ---- chunks that are kept ---- */
-
-/* Memory for a chunk that other chunks need. */
-struct exact_kept_entry {
-    uint32_t number; /* of the chunk */
-    uint32_t next;   /* chunk with which it is used next */
-    bool used;       /* holds a chunk */
-    bool needed;     /* by the current wave */
-    uint32_t place;  /* in the heap */
-    struct exact_chunk chunk;
-    void *memory;
-};
-/* Chunks in memory beside those of a wave. */
-struct exact_kept {
-    const struct bake_exact *exact;
-    const uint64_t *starts; /* of the buckets, see below */
-    uint32_t end;           /* chunks from here on belong to later batches */
-    uint32_t count;         /* of entries; 0: none is kept */
-    struct exact_kept_entry *entries;
-    uint32_t *heap;     /* numbers of entries: the one to give up first is on top */
-    uint32_t *near;     /* chunk_count numbers */
-    uint32_t *entry_of; /* of each chunk: the last entry that it had, or 0 */
-    char *memory;
-};
-/* Makes entries for chunks: takes up to three quarters of what is left of the budget. Free them,
- * also after a failure. Errors: BSQ_ENOMEM. */
-int bake_exact_kept_create(const struct bake_exact *exact, struct exact_kept *out);
-void bake_exact_kept_free(struct bsq_ctx *ctx, struct exact_kept *kept);
-/* Returns a chunk, or NULL if it is not kept. Thread-safe while nothing else is called. */
-const struct exact_chunk *bake_exact_kept_find(const struct exact_kept *kept, uint32_t number);
-/* Moves the chunk with the slot's number into the slot. Returns false if it is not kept. */
-bool bake_exact_kept_take(struct exact_kept *kept, struct exact_slot *slot);
-/* Loads the chunks that are near those of a wave, as many as fit. Must not be called from parallel
- * work. Errors: those of fmt_tris_load(). */
-int bake_exact_kept_load(struct exact_kept *kept, const struct exact_slots *wave, uint32_t used);
-/* Keeps those chunks that are used soonest, of these and of the wave. */
-void bake_exact_kept_end_wave(struct exact_kept *kept, const struct exact_slots *wave,
-                              uint32_t used);
-
 /* Memory for the chunks of one batch, or of several. */
 struct bake_exact_sweep {
     struct bake_exact *exact;
     uint64_t most_rays; /* of a batch; 0: a single batch */
     struct exact_slots slots;
-    struct exact_kept kept;
 };
 
 /* ---- normals and colours ---- */
-
-/* Returns the bytes of smooth_memory for a chunk with this many vertices. */
-uint64_t bake_exact_smooth_bytes(uint32_t vertices);
-/* Forgets which vertex normals of the slot's chunk are needed. Overwrites its tree. */
-void bake_exact_smooth_begin(struct exact_slot *slot);
-/* Makes bake_exact_smooth_sum() sum the normal of a vertex. */
-void bake_exact_smooth_need(struct exact_slot *slot, uint32_t vertex);
-/* Lists the chunks with triangles at these vertices in the slot's near[]. */
-typedef void bake_exact_smooth_find_near_fn(const struct bake_exact *exact,
-                                            struct exact_slot *slot);
-BSQ_SIMD_DECLARE(bake_exact_smooth_find_near_fn, bake_exact_smooth_find_near);
-
-/* Sums of a slot, and what they are made of. */
-struct exact_summing {
-    const struct bake_exact *exact;
-    struct exact_slot *slot;
-    const struct exact_slot *wave; /* slots whose chunks are in memory, if they are loaded */
-    uint32_t wave_count;
-    const struct exact_kept *kept;
-    const struct exact_scratch *scratch;
-};
-/* Sums the normals of the vertices that are needed, and of both sides of creases. Workers may do so
- * for different slots at the same time. Errors: those of fmt_tris_load(); BSQ_EINTR. */
-typedef int bake_exact_smooth_sum_fn(const struct exact_summing *of);
-BSQ_SIMD_DECLARE(bake_exact_smooth_sum_fn, bake_exact_smooth_sum);
 
 /* Evaluates the normal and colour of a ray's hit, which must lie in the slot's chunk. Tracing left
  * its barycentric weights in normal[0] and normal[1]. */

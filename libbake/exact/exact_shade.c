@@ -1,10 +1,10 @@
 /* exact_shade.c - evaluates the normal and colour of a hit. */
 #include "libbake/exact/exact_scene.h"
 
-#include <assert.h>
 #include <string.h>
 
 #include "base/geometry/vec.h"
+#include "base/geometry/vertex_normal.h"
 #include "libbake/kernel/bk_srgb.h"
 
 /* A hit and its triangle. */
@@ -20,7 +20,7 @@ struct place {
 static void shade_set_place(struct place *place, const struct exact_slot *slot, uint32_t triangle,
                             const struct bake_exact_hit *hit)
 {
-    const struct fmt_tris_chunk *chunk = &slot->chunk.tris;
+    const struct fmt_tris_chunk *chunk = &slot->chunk;
     place->slot = slot;
     place->triangle = triangle;
     place->v = chunk->triangles[triangle];
@@ -36,46 +36,62 @@ static void shade_set_place(struct place *place, const struct exact_slot *slot, 
 
 /* ---- normals ---- */
 
-/* Returns the sums of the side of a crease that is closer to a triangle, NULL if both are too far
- * away. */
-static const double *choose_side(const struct exact_smooth *smooth, uint32_t entry, uint32_t crease,
-                                 const double cross[3])
+/* Returns the crease at a vertex, or NULL. */
+static const struct fmt_tris_crease *find_crease(const struct fmt_tris_normals *normals,
+                                                 uint32_t vertex)
 {
-    assert(smooth->sums && smooth->seconds);
-    const double *sides[2] = {smooth->sums[2 * entry], smooth->seconds[2 * crease]}, *best = NULL;
+    uint32_t low = 0, high = normals->crease_count;
+    while (low < high) {
+        const uint32_t middle = low + (high - low) / 2;
+        if (normals->creases[middle].vertex < vertex)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low < normals->crease_count && normals->creases[low].vertex == vertex
+               ? &normals->creases[low]
+               : NULL;
+}
+
+/* Replaces the normal of the first side of a crease by that of the side that is closer to a
+ * triangle, or by zero if both are too far away. */
+static void choose_side(uint64_t second, const double cross[3], float n[3])
+{
+    float sides[2][3];
     double most = BSQ_FACET_COSINE * sqrt(bsq_dotd(cross, cross));
+    memcpy(sides[0], n, sizeof sides[0]);
+    bsq_vertex_normal_unpack(second, sides[1]);
+    memset(n, 0, sizeof sides[0]);
     for (int i = 0; i < 2; i++) {
-        const double length = sqrt(bsq_dotd(sides[i], sides[i]));
-        const double along = bsq_dotd(sides[i], cross) / length;
-        if (!bsq_is_smooth(length, sides[i][3]) || along < most)
+        const double side[3] = {(double)sides[i][0], (double)sides[i][1], (double)sides[i][2]};
+        const double along = bsq_dotd(side, cross);
+        if (along < most)
             continue;
-        best = sides[i];
+        memcpy(n, sides[i], sizeof sides[i]);
         most = along;
     }
-    return best;
 }
 
 /* Adds the weighted unit normal of a corner: that of its vertex, or of one side of a crease, else
  * the triangle's. */
 static void add_smooth(const struct place *place, int corner, double sum[3])
 {
-    const struct exact_smooth *smooth = &place->slot->smooth;
-    const uint32_t entry = smooth->entry_of[place->v[corner]], crease = smooth->crease_of[entry];
-    const double *n = smooth->sums[2 * entry];
-    if (crease != 0)
-        n = choose_side(smooth, entry, crease, place->cross);
-    double length = n ? sqrt(bsq_dotd(n, n)) : 0;
-    if (!n || !bsq_is_smooth(length, n[3])) {
-        n = place->cross;
-        length = sqrt(bsq_dotd(n, n));
-    }
+    const struct fmt_tris_normals *normals = &place->slot->normals;
+    const uint32_t vertex = place->v[corner];
+    const struct fmt_tris_crease *crease = find_crease(normals, vertex);
+    float n[3];
+    bsq_vertex_normal_unpack(normals->vertices[vertex], n);
+    if (crease)
+        choose_side(crease->second, place->cross, n);
+    const bool any = n[0] != 0.0f || n[1] != 0.0f || n[2] != 0.0f;
+    const double length = any ? 1 : sqrt(bsq_dotd(place->cross, place->cross));
     for (int k = 0; k < 3; k++)
-        sum[k] += place->w[corner] * (n[k] / length);
+        sum[k] += place->w[corner] * ((any ? (double)n[k] : place->cross[k]) / length);
 }
 
 static void shade_normal(const struct bake_exact *exact, const struct place *place, float out[3])
 {
-    const struct fmt_tris_chunk *chunk = &place->slot->chunk.tris;
+    const struct fmt_tris_chunk *chunk = &place->slot->chunk;
     double n[3] = {0, 0, 0};
     for (int i = 0; i < 3; i++) {
         if (chunk->normals) {
@@ -83,7 +99,7 @@ static void shade_normal(const struct bake_exact *exact, const struct place *pla
             n[0] += place->w[i] * (double)unit.x;
             n[1] += place->w[i] * (double)unit.y;
             n[2] += place->w[i] * (double)unit.z;
-        } else if (exact->options.normals != BSQ_SCAN_NORMALS_FLAT) {
+        } else if (exact->smooth) {
             add_smooth(place, i, n);
         }
     }
@@ -103,7 +119,7 @@ static __attribute__((noinline)) int shade_add_normal_map(const struct bake_exac
                                                           const struct fmt_shading_footprint *at,
                                                           float normal[3])
 {
-    const float(*texcoords)[2] = place->slot->chunk.tris.texcoords;
+    const float(*texcoords)[2] = place->slot->chunk.texcoords;
     double n[3] = {(double)normal[0], (double)normal[1], (double)normal[2]}, uv[2][2];
     float texel[3];
     int status = fmt_shade_attribute(&exact->shading, FMT_SHADING_NORMAL_MAP, at, texel);
@@ -131,7 +147,7 @@ static void set_side(const struct bake_exact *exact, const struct place *place,
         hit->facet[k] = (float)(place->cross[k] * scale);
     hit->reversed = exact->options.two_sided &&
                     (along == batch->facing_origin) !=
-                        bake_exact_wound_backwards(&place->slot->chunk.tris, place->triangle);
+                        bake_exact_wound_backwards(&place->slot->chunk, place->triangle);
 }
 
 /* ---- colours ---- */
@@ -179,7 +195,7 @@ static struct fmt_shading_footprint texture_footprint(const struct bake_exact *e
                                                       const struct bake_exact_batch *batch,
                                                       uint64_t ray)
 {
-    const struct fmt_tris_chunk *chunk = &place->slot->chunk.tris;
+    const struct fmt_tris_chunk *chunk = &place->slot->chunk;
     struct fmt_shading_footprint out = {
         .material = fmt_shading_material(&exact->shading, chunk, place->triangle)};
     double width[2] = {0, 0}, at[2] = {0, 0};
@@ -206,7 +222,7 @@ static struct fmt_shading_footprint texture_footprint(const struct bake_exact *e
 static int shade_color(const struct bake_exact *exact, const struct place *place,
                        const struct fmt_shading_footprint *at, float out[3])
 {
-    const struct fmt_tris_chunk *chunk = &place->slot->chunk.tris;
+    const struct fmt_tris_chunk *chunk = &place->slot->chunk;
     const bool textured = fmt_shading_is_textured(&exact->shading, FMT_SHADING_COLOR, at->material);
     const int status =
         textured ? fmt_shade_attribute(&exact->shading, FMT_SHADING_COLOR, at, out) : 0;
@@ -236,13 +252,13 @@ int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *sl
                     (uint32_t)(hit->triangle - exact->chunks[slot->number].first_triangle), hit);
     shade_normal(exact, &place, hit->normal);
     const struct fmt_shading_footprint at = texture_footprint(exact, &place, batch, ray);
-    if (slot->chunk.tris.texcoords &&
+    if (slot->chunk.texcoords &&
         fmt_shading_is_textured(shading, FMT_SHADING_NORMAL_MAP, at.material))
         BSQ_TRY(shade_add_normal_map(exact, &place, &at, hit->normal));
     set_side(exact, &place, batch, ray);
     for (int k = 0; hit->reversed && k < 3; k++)
         hit->normal[k] = -hit->normal[k];
-    hit->id = shading->ids ? fmt_shade_id(shading, &slot->chunk.tris, place.triangle, place.w) : 0;
+    hit->id = shading->ids ? fmt_shade_id(shading, &slot->chunk, place.triangle, place.w) : 0;
     for (uint32_t a = FMT_SHADING_CHANNELS; batch->channels && a < shading->attribute_count; a++)
         BSQ_TRY(fmt_shade_attribute(shading, a, &at,
                                     batch->channels + ray * exact_transfer_floats(exact) +

@@ -8,61 +8,34 @@
 
 /* ---- memory ---- */
 
-/* Sizes in bytes of the buffers of a slot and of a scratch, which fit every chunk. */
+/* Sizes in bytes of the buffers of a slot, and of a thread that prepares one, which fit every
+ * chunk. A slot never needs its tree and its normals at the same time. */
 struct sizes {
-    uint64_t chunk, tree, runs, smooth, near;
-    uint64_t boxes, neighbour, map;
+    uint64_t chunk, tree, runs, slot;
+    uint64_t boxes;
 };
 
-/* Returns the bytes of a chunk without its groups. */
-static uint64_t tris_bytes(const struct bake_exact *exact)
+static uint64_t slots_larger(uint64_t a, uint64_t b)
 {
-    return bsq_align_up(fmt_tris_load_size_max(exact->file), BSQ_ALIGNMENT);
-}
-
-uint64_t bake_exact_chunk_bytes(const struct bake_exact *exact)
-{
-    uint32_t triangles = 0;
-    for (uint32_t c = 0; c < exact->chunk_count && exact_needs_smooth(exact); c++)
-        triangles = exact->chunks[c].triangle_count > triangles ? exact->chunks[c].triangle_count
-                                                                : triangles;
-    const uint64_t groups = (triangles + EXACT_GROUP - 1) / EXACT_GROUP;
-    return tris_bytes(exact) + bsq_align_up(groups * sizeof(struct exact_box), BSQ_ALIGNMENT);
+    return a > b ? a : b;
 }
 
 static struct sizes buffer_sizes(const struct bake_exact *exact, bool runs)
 {
     struct sizes sizes = {0};
-    uint32_t triangles = 0, vertices = 0;
+    uint32_t triangles = 0;
     for (uint32_t c = 0; c < exact->chunk_count; c++) {
         const struct fmt_tris_chunk_info *chunk = &exact->chunks[c];
         triangles = chunk->triangle_count > triangles ? chunk->triangle_count : triangles;
-        vertices = chunk->vertex_count > vertices ? chunk->vertex_count : vertices;
     }
-    sizes.chunk = bake_exact_chunk_bytes(exact);
+    sizes.chunk = bsq_align_up(fmt_tris_load_size_max(exact->file), BSQ_ALIGNMENT);
     sizes.tree = bsq_align_up(bake_exact_tree_bytes(exact_runs(triangles)), BSQ_ALIGNMENT);
     sizes.runs = runs ? exact_runs(triangles) * sizeof(struct exact_box8) : 0;
     sizes.boxes = bsq_align_up(exact_runs(triangles) * sizeof(struct exact_box), BSQ_ALIGNMENT);
-    if (exact_needs_smooth(exact)) {
-        sizes.smooth = bsq_align_up(bake_exact_smooth_bytes(vertices), BSQ_ALIGNMENT);
-        sizes.neighbour = sizes.chunk;
-        sizes.map = bsq_align_up(vertices * sizeof(uint32_t), BSQ_ALIGNMENT);
-        sizes.near = bsq_align_up(exact->chunk_count * sizeof(uint32_t), BSQ_ALIGNMENT);
-    }
+    const uint64_t normals = exact->smooth ? fmt_tris_normals_size_max(exact->file) : 0;
+    sizes.slot =
+        sizes.chunk + slots_larger(sizes.tree + sizes.runs, bsq_align_up(normals, BSQ_ALIGNMENT));
     return sizes;
-}
-
-/* A slot never holds a tree and sums of normals at the same time. */
-static uint64_t slot_bytes(const struct sizes *sizes)
-{
-    const uint64_t tree = sizes->tree + sizes->runs;
-    return sizes->chunk + (tree > sizes->smooth ? tree : sizes->smooth) + sizes->near;
-}
-
-static uint64_t scratch_bytes(const struct sizes *sizes)
-{
-    uint64_t shading = sizes->neighbour + sizes->map;
-    return sizes->boxes > shading ? sizes->boxes : shading;
 }
 
 /* How many slots there are, and how many threads may prepare them at the same time. */
@@ -76,7 +49,7 @@ static struct plan plan_slots(const struct bake_exact *exact, uint32_t most, boo
                               uint32_t threads, uint64_t memory)
 {
     const struct sizes sizes = buffer_sizes(exact, runs);
-    const uint64_t slot = slot_bytes(&sizes), scratch = scratch_bytes(&sizes);
+    const uint64_t slot = sizes.slot, scratch = sizes.boxes;
     struct plan plan = {.slots = most, .preparers = most < threads ? most : threads};
     while (plan.slots > 1 && plan.slots * slot + plan.preparers * scratch > memory) {
         plan.slots--;
@@ -84,13 +57,6 @@ static struct plan plan_slots(const struct bake_exact *exact, uint32_t most, boo
     }
     plan.bytes = plan.slots * slot + plan.preparers * scratch;
     return plan;
-}
-
-/* Returns the bytes of the chunks that are kept for others, at most `most`. */
-static uint64_t kept_bytes(const struct bake_exact *exact, uint64_t most)
-{
-    const uint64_t all = exact->chunk_count * bake_exact_chunk_bytes(exact);
-    return !exact_needs_smooth(exact) ? 0 : all < most ? all : most;
 }
 
 /* Bytes of an entry of the buckets, and of a ray's share in these. */
@@ -122,7 +88,7 @@ uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes
         plan_slots(exact, exact_wave_slots(exact), false, threads, left / 4).bytes +
         bake_exact_buckets_scratch_bytes(exact) + (exact->chunk_count + 1) * sizeof(uint64_t) +
         (exact_bucket_entries(exact, 0) + BAKE_EXACT_BUNDLE) * BUCKET_BYTES +
-        EXACT_LOCKS * sizeof(pthread_mutex_t) + kept_bytes(exact, left / 8);
+        EXACT_LOCKS * sizeof(pthread_mutex_t);
     const uint64_t ray = ray_bytes(exact) + more_bytes;
     /* An eighth is left to other parts of the job. */
     const uint64_t usable = left / 8 * 7;
@@ -139,22 +105,16 @@ int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint6
     *out = (struct exact_slots){.count = plan.slots, .preparers = plan.preparers};
     int status = 0;
     BSQ_TRY(bsq_calloc(ctx, "chunks in memory", plan.slots, sizeof *out->slots, &out->slots));
-    BSQ_TRY(bsq_calloc(ctx, "chunks in memory", plan.preparers, sizeof *out->scratches,
-                       &out->scratches));
     BSQ_TRY(bsq_alloc(ctx, "chunks in memory", plan.bytes, 1, &out->memory));
     char *at = out->memory;
-    for (uint32_t s = 0; s < plan.slots; s++, at += slot_bytes(&sizes)) {
+    for (uint32_t s = 0; s < plan.slots; s++, at += sizes.slot) {
         out->slots[s].chunk_memory = at;
-        out->slots[s].tree_memory = out->slots[s].smooth_memory = at + sizes.chunk;
+        out->slots[s].tree_memory = at + sizes.chunk;
         if (runs)
             out->slots[s].runs = (struct exact_box8 *)(void *)(at + sizes.chunk + sizes.tree);
-        out->slots[s].near = (uint32_t *)(void *)(at + slot_bytes(&sizes) - sizes.near);
     }
-    for (uint32_t p = 0; p < plan.preparers; p++, at += scratch_bytes(&sizes)) {
-        struct exact_scratch *scratch = &out->scratches[p];
-        scratch->boxes = scratch->neighbour = at;
-        scratch->map = (uint32_t *)(void *)(at + sizes.neighbour);
-    }
+    out->boxes = at;
+    out->boxes_bytes = sizes.boxes;
 done:
     return status;
 }
@@ -163,7 +123,6 @@ void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots)
 {
     bsq_free(ctx, slots->memory);
     bsq_free(ctx, slots->slots);
-    bsq_free(ctx, slots->scratches);
 }
 
 /* ---- chunks ---- */
@@ -185,58 +144,32 @@ static struct exact_box slots_bounds_of(const struct fmt_tris_chunk *chunk, uint
     return box;
 }
 
-/* Writes the bounds of each `step` triangles of a chunk. */
-static void slots_set_bounds(const struct fmt_tris_chunk *chunk, uint32_t step,
-                             struct exact_box *out)
+/* Builds the tree of the loaded chunk. boxes: space for its runs. */
+static void build_tree(struct exact_slot *slot, struct exact_box *boxes)
 {
-    const uint32_t count = chunk->triangle_count;
-    for (uint32_t t = 0; t < count; t += step)
-        *out++ = slots_bounds_of(chunk, t, count - t < step ? count : t + step);
-}
-
-void bake_exact_set_groups(const struct bake_exact *exact, void *memory, struct exact_chunk *chunk)
-{
-    if (chunk->groups)
-        return;
-    chunk->groups = (struct exact_box *)(void *)((char *)memory + tris_bytes(exact));
-    slots_set_bounds(&chunk->tris, EXACT_GROUP, chunk->groups);
-}
-
-int bake_exact_load(const struct bake_exact *exact, uint32_t number, void *memory,
-                    struct exact_chunk *out)
-{
-    *out = (struct exact_chunk){0};
-    ++*exact->loads;
-    return fmt_tris_load(exact->file, number, memory, &out->tris);
-}
-
-/* Builds the tree of the loaded chunk. */
-static void build_tree(struct exact_slot *slot, const struct exact_scratch *scratch)
-{
-    const struct fmt_tris_chunk *chunk = &slot->chunk.tris;
-    slots_set_bounds(chunk, EXACT_RUN, scratch->boxes);
-    bake_exact_tree_build(&slot->tree, exact_runs(chunk->triangle_count), scratch->boxes,
-                          slot->tree_memory);
-    for (uint32_t r = 0; slot->runs && r < exact_runs(chunk->triangle_count); r++)
+    const struct fmt_tris_chunk *chunk = &slot->chunk;
+    const uint32_t count = chunk->triangle_count, runs = exact_runs(count);
+    for (uint32_t r = 0; r < runs; r++)
+        boxes[r] = slots_bounds_of(chunk, EXACT_RUN * r,
+                                   count - EXACT_RUN * r < EXACT_RUN ? count : EXACT_RUN * (r + 1));
+    bake_exact_tree_build(&slot->tree, runs, boxes, slot->tree_memory);
+    for (uint32_t r = 0; slot->runs && r < runs; r++)
         exact_run_set(chunk, r, &slot->runs[r]);
 }
 
-const struct exact_scratch *bake_exact_scratch(const struct bake_exact *exact,
-                                               const struct exact_slots *slots, uint64_t slot,
-                                               unsigned worker)
-{
-    /* If there are fewer scratches than threads, there are as many as slots. */
-    return &slots->scratches[slots->preparers < bsq_threads(exact->ctx) ? slot : worker];
-}
-
-/* Loads the sample of a chunk, or the chunk if it has none. */
-static int load_sample(const struct bake_exact *exact, uint32_t number, void *memory,
-                       struct exact_chunk *out)
+/* Loads the chunk of a slot, or its sample if `sampled` and it has one. */
+static int slots_load_slot(const struct bake_exact *exact, struct exact_slot *slot, bool sampled)
 {
     bool found = false;
-    *out = (struct exact_chunk){0};
-    const int status = fmt_tris_load_sample(exact->file, number, memory, &out->tris, &found);
-    return status < 0 || found ? status : bake_exact_load(exact, number, memory, out);
+    int status = 0;
+    slot->chunk = (struct fmt_tris_chunk){0};
+    if (sampled)
+        status = fmt_tris_load_sample(exact->file, slot->number, slot->chunk_memory, &slot->chunk,
+                                      &found);
+    if (status < 0 || found)
+        return status;
+    ++*exact->loads;
+    return fmt_tris_load(exact->file, slot->number, slot->chunk_memory, &slot->chunk);
 }
 
 int bake_exact_slot_prepare(const struct bake_exact *exact, const struct exact_slots *slots,
@@ -245,14 +178,15 @@ int bake_exact_slot_prepare(const struct bake_exact *exact, const struct exact_s
     struct exact_slot *slot = &slots->slots[index];
     int status = 0;
     if (!slot->loaded)
-        status = (sampled ? load_sample : bake_exact_load)(exact, slot->number, slot->chunk_memory,
-                                                           &slot->chunk);
+        status = slots_load_slot(exact, slot, sampled);
     if (status < 0)
         return status;
     slot->loaded = true;
     if (exact->points && !sampled)
-        bake_exact_take_areas(exact, slot->number, &slot->chunk.tris);
-    build_tree(slot, bake_exact_scratch(exact, slots, index, worker));
+        bake_exact_take_areas(exact, slot->number, &slot->chunk);
+    /* If there are fewer preparers than threads, there are as many as slots. */
+    const uint64_t preparer = slots->preparers < bsq_threads(exact->ctx) ? index : worker;
+    build_tree(slot, (struct exact_box *)(void *)(slots->boxes + preparer * slots->boxes_bytes));
     return 0;
 }
 

@@ -64,16 +64,11 @@ each_hit(const struct wave *wave, struct exact_slot *slot, uint64_t begin, uint6
     return status;
 }
 
-/* Notes which vertex normals a hit needs. */
-static int need_hit(const struct wave *wave, struct exact_slot *slot, uint64_t ray)
+static int note_hit(const struct wave *wave, struct exact_slot *slot, uint64_t ray)
 {
-    const uint64_t first = wave->exact->chunks[slot->number].first_triangle;
-    const uint32_t *v = slot->chunk.tris.triangles[wave->batch->hits[ray].triangle - first];
-    if (!slot->needed)
-        bake_exact_smooth_begin(slot);
-    slot->needed = true;
-    for (int k = 0; k < 3; k++)
-        bake_exact_smooth_need(slot, v[k]);
+    (void)wave;
+    (void)ray;
+    slot->hit = true;
     return 0;
 }
 
@@ -84,34 +79,18 @@ static int prepare_slot(void *arg, uint64_t index, unsigned worker)
                                    worker);
 }
 
-/* Finds the vertex normals that the hits in a slot's chunk need, and the chunks that have them. */
-static int need_slot(void *arg, uint64_t index, unsigned worker)
+/* Loads the normals of a slot's chunk, in place of its tree, if there are hits in it. */
+static int load_slot_normals(void *arg, uint64_t index, unsigned worker)
 {
-    (void)worker;
     struct wave *wave = arg;
     struct exact_slot *slot = &wave->memory->slots.slots[index];
     const uint64_t *starts = &wave->buckets->starts[slot->number];
-    slot->needed = false;
-    slot->near_count = 0;
-    bake_exact_set_groups(wave->exact, slot->chunk_memory, &slot->chunk);
-    const int status = each_hit(wave, slot, starts[0], starts[1], need_hit);
-    if (status == 0 && slot->needed)
-        BSQ_SIMD_PICK(wave->exact->simd, bake_exact_smooth_find_near)(wave->exact, slot);
-    return status;
-}
-
-/* Sums the vertex normals that the hits in a slot's chunk need. */
-static int sum_slot(void *arg, uint64_t index, unsigned worker)
-{
-    struct wave *wave = arg;
-    const struct exact_summing of = {
-        .exact = wave->exact,
-        .slot = &wave->memory->slots.slots[index],
-        .wave = wave->memory->slots.slots,
-        .wave_count = wave->used,
-        .kept = &wave->memory->kept,
-        .scratch = bake_exact_scratch(wave->exact, &wave->memory->slots, index, worker)};
-    return of.slot->needed ? BSQ_SIMD_PICK(wave->exact->simd, bake_exact_smooth_sum)(&of) : 0;
+    (void)worker;
+    slot->hit = false;
+    each_hit(wave, slot, starts[0], starts[1], note_hit);
+    return slot->hit ? fmt_tris_load_normals(wave->exact->file, slot->number, slot->tree_memory,
+                                             &slot->normals)
+                     : 0;
 }
 
 /* The rays of a bundle that have a direction, and their hits so far. */
@@ -231,11 +210,8 @@ static int shade_wave(struct wave *wave)
     struct bsq_ctx *ctx = wave->exact->ctx;
     int status = 0;
     wave->shading = true;
-    if (exact_needs_smooth(wave->exact)) {
-        BSQ_TRY(bsq_parallel_for(ctx, wave->used, need_slot, wave));
-        BSQ_TRY(bake_exact_kept_load(&wave->memory->kept, &wave->memory->slots, wave->used));
-        BSQ_TRY(bsq_parallel_for(ctx, wave->used, sum_slot, wave));
-    }
+    if (wave->exact->smooth)
+        BSQ_TRY(bsq_parallel_for(ctx, wave->used, load_slot_normals, wave));
     status = bsq_parallel_for(ctx, wave->block_count, run_block, wave);
 done:
     return status;
@@ -251,7 +227,7 @@ static void read_ahead(const struct wave *wave)
     uint32_t next = wave->memory->slots.slots[wave->used - 1].number + 1;
     for (uint32_t ahead = 0; next < wave->exact->chunk_count && ahead < wave->memory->slots.count;
          next++)
-        if (starts[next] < starts[next + 1] && !bake_exact_kept_find(&wave->memory->kept, next)) {
+        if (starts[next] < starts[next + 1]) {
             fmt_tris_read_ahead(wave->exact->file, next);
             ahead++;
         }
@@ -264,15 +240,13 @@ static int run_wave(struct wave *wave)
     int status = 0;
     wave->shading = false;
     for (uint32_t s = 0; s < wave->used; s++)
-        memory->slots.slots[s].loaded =
-            bake_exact_kept_take(&memory->kept, &memory->slots.slots[s]);
+        memory->slots.slots[s].loaded = false;
     BSQ_TRY(bsq_parallel_for(ctx, wave->used, prepare_slot, wave));
     read_ahead(wave);
     BSQ_TRY(list_blocks(wave));
     BSQ_TRY(bsq_parallel_for(ctx, wave->block_count, run_block, wave));
     if (!wave->batch->distances_only)
         BSQ_TRY(shade_wave(wave));
-    bake_exact_kept_end_wave(&memory->kept, &memory->slots, wave->used);
     wave->used = 0;
 done:
     return status;
@@ -283,8 +257,6 @@ static int run_waves(struct wave *wave)
     const struct exact_buckets *buckets = wave->buckets;
     int status = 0;
     wave->used = 0;
-    wave->memory->kept.starts = buckets->starts;
-    wave->memory->kept.end = exact_end_chunk(wave->exact, wave->batch);
     for (uint32_t c = 0; status == 0 && c < wave->exact->chunk_count; c++) {
         if (buckets->starts[c] == buckets->starts[c + 1])
             continue;
@@ -296,12 +268,6 @@ static int run_waves(struct wave *wave)
 }
 
 /* ---- memory ---- */
-
-static void free_chunks(struct bsq_ctx *ctx, struct bake_exact_sweep *memory)
-{
-    bake_exact_kept_free(ctx, &memory->kept);
-    bake_exact_slots_free(ctx, &memory->slots);
-}
 
 int bake_exact_sweep_create(struct bake_exact *exact, uint64_t most_rays,
                             struct bake_exact_sweep **out)
@@ -316,7 +282,7 @@ void bake_exact_sweep_free(struct bake_exact_sweep *sweep)
 {
     if (!sweep)
         return;
-    free_chunks(sweep->exact->ctx, sweep);
+    bake_exact_slots_free(sweep->exact->ctx, &sweep->slots);
     bsq_free(sweep->exact->ctx, sweep);
 }
 
@@ -324,16 +290,13 @@ static int allocate_chunks(const struct wave *wave)
 {
     struct bake_exact_sweep *memory = wave->memory;
     const uint64_t share = bsq_memory_share(wave->exact->ctx, "chunks of a wave", 2);
-    int status = bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact), share, false,
-                                         &memory->slots);
-    if (status == 0 && !wave->batch->distances_only && exact_needs_smooth(wave->exact))
-        status = bake_exact_kept_create(wave->exact, &memory->kept);
-    return status;
+    return bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact), share, false,
+                                   &memory->slots);
 }
 
 static int trace_allocate(struct wave *wave, struct exact_buckets *buckets)
 {
-    /* The batches of a sweep all take as much memory: the chunks that are kept take the rest. */
+    /* The batches of a sweep all take as much memory: their slots stay. */
     const uint64_t rays = wave->batch->sweep ? wave->memory->most_rays : wave->batch->count;
     struct bsq_ctx *ctx = wave->exact->ctx;
     const uint32_t chunks = wave->exact->chunk_count;
@@ -411,6 +374,6 @@ done:
     bsq_free(ctx, buckets.found);
     bsq_free(ctx, buckets.starts);
     bsq_free(ctx, buckets.around);
-    free_chunks(ctx, &own);
+    bake_exact_slots_free(ctx, &own.slots);
     return status;
 }

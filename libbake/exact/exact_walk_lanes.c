@@ -60,7 +60,7 @@ static struct range range_of(const struct exact_best *best, const struct exact_l
 /* Tests a triangle, and takes its hit if that wins. */
 static void walk_try_triangle(struct trace *trace, uint32_t triangle)
 {
-    const struct fmt_tris_chunk *chunk = &trace->slot->chunk.tris;
+    const struct fmt_tris_chunk *chunk = &trace->slot->chunk;
     const struct exact_limits *limits = trace->limits;
     struct exact_best *best = trace->best;
     const uint32_t *v = chunk->triangles[triangle];
@@ -102,7 +102,7 @@ static void try_run(struct trace *trace, uint32_t run)
 {
     struct exact_box8 boxes;
     if (!trace->slot->runs)
-        exact_run_set(&trace->slot->chunk.tris, run, &boxes);
+        exact_run_set(&trace->slot->chunk, run, &boxes);
     try_boxes(trace, run, trace->slot->runs ? &trace->slot->runs[run] : &boxes);
 }
 
@@ -325,7 +325,7 @@ static void find_runs(const struct exact_slot *slot, const struct beam *beam, st
         const struct exact_box8 *boxes = &tree->nodes[tree->first[top.level] + top.node];
         unsigned bits = beam_crosses(beam, boxes);
         if (top.level == 0) {
-            if (walk_add_runs(runs, &slot->chunk.tris, boxes, 8 * top.node, bits))
+            if (walk_add_runs(runs, &slot->chunk, boxes, 8 * top.node, bits))
                 continue;
             runs->count = MOST_RUNS + 1;
             return;
@@ -344,7 +344,7 @@ static void find_runs(const struct exact_slot *slot, const struct beam *beam, st
 static void try_listed(struct trace *trace, struct runs *runs, uint32_t i)
 {
     if (!(runs->entered >> i & 1))
-        exact_run_set(&trace->slot->chunk.tris, runs->numbers[i], &runs->triangles[i]);
+        exact_run_set(&trace->slot->chunk, runs->numbers[i], &runs->triangles[i]);
     runs->entered |= UINT64_C(1) << i;
     try_boxes(trace, runs->numbers[i], &runs->triangles[i]);
 }

@@ -209,8 +209,9 @@ static const struct bsq_option table[] = {
      CHOICE(sampling, "trilinear nearest"), .needs = GRID_TO_SAMPLE},
     {KEY("scan", "normals", "NAME",
          "for triangles without normals: smooth, flat; or smooth ones\n"
-         "by weight: area, angle or max (default: smooth, which is area)"),
-     CHOICE(scan_normals, "smooth/area angle max flat"), .needs = BARE_TRIANGLES},
+         "by weight: area, angle or max (default, auto: those that the\n"
+         "chunk file has; smooth is area)"),
+     CHOICE(scan_normals, "auto smooth/area angle max flat"), .needs = BARE_TRIANGLES},
     {BSQ_ROW("scan-normal-map", "FILE",
              "add a tangent-space map to the scan's normals, for triangles"),
      MEMBER(INPUT, scan_normal_map)},

@@ -22,7 +22,7 @@ static bool on_processor(const struct bake_options *options)
 
 static int open_grid(struct bake_scan *scan, const struct bake_options *options)
 {
-    if (options->scan_normals != BSQ_SCAN_NORMALS_SMOOTH)
+    if (options->scan_normals != BSQ_SCAN_NORMALS_AUTO)
         return bsq_fail(scan->ctx, BSQ_EUSAGE,
                         "%s: a grid has its own normals; choose them for triangles only",
                         scan->path);
@@ -61,14 +61,11 @@ static int check_exact(const struct bake_scan *scan, const struct bake_options *
     return 0;
 }
 
-/* Opens chunk files that are one scan. */
-static int open_exact(struct bake_scan *scan, const char *const *paths, uint32_t count,
-                      const struct bake_options *options)
+/* Opens a chunk file. */
+static int open_exact(struct bake_scan *scan, const struct bake_options *options)
 {
-    const struct bake_exact_options exact = {.paths = paths,
-                                             .path_count = count,
-                                             .normals = options->scan_normals,
-                                             .two_sided = options->two_sided};
+    const struct bake_exact_options exact = {
+        .path = scan->path, .normals = options->scan_normals, .two_sided = options->two_sided};
     int status = check_exact(scan, options);
     if (status == 0)
         status = bake_exact_open(scan->ctx, &exact, &scan->exact);
@@ -94,29 +91,6 @@ static int open_exact(struct bake_scan *scan, const char *const *paths, uint32_t
 static const char *scan_path(const struct bake_options *options, uint32_t index)
 {
     return index == 0 ? options->scan_path : options->more_scan_paths[index - 1];
-}
-
-/* Sets surface->joined to the paths of all scans if they are chunk files that are parts of one
- * scan. Objects that see some scans only need separate scans. */
-static int join_chunk_files(struct bake_surface *surface, const struct bake_options *options)
-{
-    const uint32_t count = options->more_scan_count + 1;
-    const char **paths;
-    bool one = !options->match_names;
-    int status = bsq_alloc(surface->ctx, "scans", count, sizeof *paths, &paths);
-    for (uint32_t i = 0; i < count && status == 0 && one; i++) {
-        enum fmt_kind kind;
-        paths[i] = scan_path(options, i);
-        status = fmt_recognise_scan(surface->ctx, paths[i], &kind);
-        one = kind == FMT_KIND_TRIS;
-    }
-    if (status == 0 && one)
-        status = fmt_tris_can_join(surface->ctx, paths, count, &one);
-    if (status == 0 && one)
-        surface->joined = paths;
-    else
-        bsq_free(surface->ctx, paths);
-    return status;
 }
 
 /* ---- all scans ---- */
@@ -166,13 +140,10 @@ static int surface_open_scan(struct bake_surface *surface, const struct bake_opt
     struct bake_scan *scan = &surface->scans[index];
     enum fmt_kind kind = FMT_KIND_TRIS;
     *scan = (struct bake_scan){.ctx = surface->ctx, .path = scan_path(options, index)};
-    if (surface->joined)
-        return open_exact(scan, surface->joined, options->more_scan_count + 1, options);
     int status = fmt_recognise_scan(surface->ctx, scan->path, &kind);
     if (status < 0)
         return status;
-    return kind == FMT_KIND_TRIS ? open_exact(scan, &scan->path, 1, options)
-                                 : open_grid(scan, options);
+    return kind == FMT_KIND_TRIS ? open_exact(scan, options) : open_grid(scan, options);
 }
 
 int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
@@ -180,9 +151,7 @@ int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
 {
     int status = 0;
     *out = (struct bake_surface){.ctx = ctx};
-    if (options->more_scan_count > 0)
-        BSQ_TRY(join_chunk_files(out, options));
-    const uint32_t count = out->joined ? 1 : options->more_scan_count + 1;
+    const uint32_t count = options->more_scan_count + 1;
     if (count > 1 && !on_processor(options))
         BSQ_TRY(bsq_fail(ctx, BSQ_EUSAGE, "several scans are traced on the cpu, not on %s",
                          options->device));
@@ -209,7 +178,6 @@ void bake_surface_close(struct bake_surface *surface)
     }
     if (surface->ctx) {
         bsq_free(surface->ctx, surface->scans);
-        bsq_free(surface->ctx, surface->joined);
     }
     memset(surface, 0, sizeof *surface);
 }

@@ -35,7 +35,6 @@ struct bake_surface {
     struct bsq_ctx *ctx;
     struct bake_scan *scans;
     uint32_t scan_count;
-    const char **joined;             /* all paths, if several chunk files are one scan; else NULL */
     bool grids, triangles;           /* there are such scans */
     bool has_color;                  /* all scans have */
     enum fmt_ids ids;                /* FMT_IDS_NONE unless all scans agree */
@@ -50,8 +49,7 @@ struct bake_surface {
 };
 
 /* Opens the scans of the options; the content of each file decides of which kind it is. The
- * surface's index space does not depend on the order of the scans. Chunk files that can be one scan
- * (fmt_tris_can_join()) are one, unless the options match names. Several scans are traced on the
+ * surface's index space does not depend on the order of the scans. Several scans are traced on the
  * processor. *out must not be moved while it is open. Errors: those of fmt_nvdb_open(),
  * bake_check_grid() and bake_exact_open(); BSQ_EUSAGE for options that do not apply to these scans.
  */

@@ -311,14 +311,16 @@ done:
 /* Bytes of a triangle's delta-coded indices, for one kind of index. */
 #define BYTES_BY_INDEX 2
 
-static uint64_t partition_vertex_bytes(const struct fmt_mesh_estimate *scan)
+static uint64_t partition_vertex_bytes(const struct fmt_mesh_estimate *scan, bool makes_normals)
 {
     return 12 + (scan->has_colors ? 4 : 0) + (scan->texcoords > 0 ? 8 : 0) +
-           (scan->normals > 0 ? 4 : 0);
+           (scan->normals > 0 ? 4
+            : makes_normals   ? sizeof(uint64_t)
+                              : 0);
 }
 
 struct disk_space vox_disk_estimate(const struct fmt_mesh_estimate *scan,
-                                    const struct sort_limits *limits)
+                                    const struct sort_limits *limits, bool makes_normals)
 {
     const uint64_t triangles =
         scan->corners > 2 * scan->faces ? scan->corners - 2 * scan->faces : 0;
@@ -331,7 +333,8 @@ struct disk_space vox_disk_estimate(const struct fmt_mesh_estimate *scan,
     const uint64_t pages = limits->page_memory + (spilled ? 0 : limits->stream_bytes - streams);
     const uint64_t runs = coded > pages ? coded - pages : 0;
     return (struct disk_space){
-        .output_bytes = 6 * triangles + scan->vertices * partition_vertex_bytes(scan),
+        .output_bytes =
+            6 * triangles + scan->vertices * partition_vertex_bytes(scan, makes_normals),
         .temp_bytes = (spilled ? streams : 0) + runs,
     };
 }

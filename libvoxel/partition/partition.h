@@ -89,6 +89,6 @@ struct disk_space {
  * refer to vertices in their order, or nearly so. Other scans need more, so no scan is refused that
  * has enough space. */
 struct disk_space vox_disk_estimate(const struct fmt_mesh_estimate *scan,
-                                    const struct sort_limits *limits);
+                                    const struct sort_limits *limits, bool makes_normals);
 
 #endif

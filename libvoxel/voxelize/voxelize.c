@@ -10,6 +10,7 @@
 #include "base/job_files.h"
 #include "base/text.h"
 #include "libvoxel/float_precision.h"
+#include "libvoxel/normals/normals.h"
 #include "libvoxel/temp_tris.h"
 #include "libvoxel/voxelize/voxelize_run.h"
 
@@ -62,7 +63,7 @@ static bool uses_textures(const struct vox_run *run)
 static int voxelize_divide_memory(const struct vox_run *run, struct vox_shares *shares)
 {
     uint64_t available = bsq_memory_left(run->ctx);
-    uint64_t slot = vox_chunks_slot_bytes(run->file, run->smooth != NULL);
+    uint64_t slot = vox_chunks_slot_bytes(run->file, run->smooth);
     const unsigned sums = sums_of(run);
     shares->texture_bytes =
         uses_textures(run) ? min64(available / 4, TEXTURE_CACHE_BYTES_USEFUL) : 0;
@@ -189,10 +190,33 @@ static int voxelize_find_boxes(struct vox_run *run)
                                   &run->box_count);
 }
 
+/* Makes sure that the file has the normals that the options ask for: makes others than it has in a
+ * temporary file. */
+static int voxelize_choose_normals(struct vox_run *run)
+{
+    const bool automatic = run->options->scan_normals == BSQ_SCAN_NORMALS_AUTO;
+    const enum bsq_scan_normals wanted =
+        automatic ? fmt_tris_parts_normals(run->file) : run->options->scan_normals;
+    struct fmt_tris_normals_writer *writer = NULL;
+    int status = 0;
+    if (run->header->attributes & FMT_TRIS_NORMALS || wanted == BSQ_SCAN_NORMALS_FLAT)
+        return 0;
+    if (wanted != run->header->made_normals) {
+        BSQ_TRY(fmt_tris_normals_begin_temp(run->file, run->options->grid_path, &writer));
+        BSQ_TRY(vox_make_normals(run->ctx, writer, wanted, run->options->grid_path));
+        BSQ_TRY(fmt_tris_normals_end(writer, wanted));
+    }
+    run->smooth = run->header->made_normals != 0;
+done:
+    fmt_tris_normals_free(writer);
+    return status;
+}
+
 static int open_run(struct vox_run *run)
 {
     int status;
     BSQ_TRY(open_input(run));
+    BSQ_TRY(voxelize_choose_normals(run));
     BSQ_TRY(voxelize_find_boxes(run));
     status = check_grid(run);
 done:
@@ -200,15 +224,6 @@ done:
 }
 
 /* ---- what the pipeline needs ---- */
-
-static int make_smooth(struct vox_run *run)
-{
-    if ((run->header->attributes & FMT_TRIS_NORMALS) ||
-        run->options->scan_normals == BSQ_SCAN_NORMALS_FLAT)
-        return 0;
-    return vox_smooth_create(run->ctx, run->file, run->options->scan_normals, run->workers,
-                             bsq_memory_share(run->ctx, "smooth normals", 8), &run->smooth);
-}
 
 /* Chooses the slabs that regions are cut into. Few regions would not keep all workers busy. */
 static uint32_t choose_slabs(double regions, unsigned workers)
@@ -278,7 +293,6 @@ static int set_up(struct vox_run *run)
     struct vox_shading *shading = &run->shading;
     int status = 0;
     BSQ_TRY(vox_schedule_create(run->ctx, run->boxes, run->box_count, &run->schedule));
-    BSQ_TRY(make_smooth(run));
     BSQ_TRY(voxelize_add_attributes(run));
     malloc_trim(0); /* what sorting has freed counts as resident until then */
     BSQ_TRY(voxelize_divide_memory(run, &run->shares));
@@ -309,7 +323,6 @@ static void tear_down(struct vox_run *run)
     bsq_free(run->ctx, run->own);
     bsq_free(run->ctx, run->current.chunks);
     vox_chunks_destroy(run->chunks);
-    vox_smooth_destroy(run->smooth);
     vox_schedule_destroy(run->schedule);
     bsq_free(run->ctx, run->boxes);
     run->boxes = NULL;

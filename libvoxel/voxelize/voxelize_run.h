@@ -54,7 +54,7 @@ struct vox_run {
 
     struct vox_shares shares;
     struct vox_shading shading;
-    struct vox_smooth *smooth; /* NULL: the scan has normals, or is to be flat */
+    bool smooth; /* the scan has no normals of its own, and gets those that were made */
     struct vox_schedule *schedule;
     struct vox_chunks *chunks;
     struct vox_worker *own; /* one for each worker */

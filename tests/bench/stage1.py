@@ -265,7 +265,7 @@ class Scan:
             self.goal(key, ", resident MiB", lambda job:
                       max(cost["rss_kib"] for cost in job.rounds.values()) / 1024, limit)
         self.goal("whole", ", .tris, bytes a triangle", lambda job: job.facts["tris_bytes"]
-                  and job.facts["tris_bytes"] / self.triangles, 14)
+                  and job.facts["tris_bytes"] / self.triangles, 19)
 
 
 def print_row(*cells):

@@ -120,12 +120,51 @@ for grid in ball ball_parts; do
 done
 # A crease at the seams is 3 degrees.
 ok run bisque-compare --type normal ball.exr ball_parts.exr --max-error 0.2
-# Exact maps of the parts are those of the whole, in any order.
+# The parts become one chunk file, whose exact maps are those of the whole, in any order. Parts that
+# are baked side by side have normals of their own at the seams.
+ok run bisque-voxelize p1.tris p2.tris p3.tris -o joined.tris
+ok run bisque-voxelize --verify joined.tris
+ok run bisque-voxelize p3.tris p1.tris p2.tris -o again.tris --threads 1 --memory 60MiB
+same joined.tris again.tris
+$vox joined.tris -o other.nvdb
+same ball_parts.nvdb other.nvdb
 run bisque-bake ball.tris $above -o ball.exr
-ok run bisque-bake p1.tris p2.tris p3.tris $above -o exact.exr
+ok run bisque-bake joined.tris $above -o exact.exr
 ok run bisque-compare --type normal ball.exr exact.exr --max-error 0.2
+ok run bisque-bake p1.tris p2.tris p3.tris $above -o exact.exr
+run bisque-compare --type normal ball.exr exact.exr --max-error 0.2
+code 1
+ok run bisque-compare --type normal ball.exr exact.exr --max-error 5
 ok run bisque-bake p3.tris p1.tris p2.tris $above -o other.exr --threads 1
 same exact.exr other.exr
+
+# ---- other normals than a chunk file has ----
+
+ok run bisque-voxelize ball.obj --resolution 8 -o x.nvdb --tris angle.tris --scan-normals angle
+ok run bisque-voxelize ball.tris -o made.tris --scan-normals angle
+same angle.tris made.tris
+ok run bisque-voxelize made.tris -o made2.tris --scan-normals area --threads 1
+same ball.tris made2.tris
+ok run bisque-voxelize ball.tris -o flat.tris --scan-normals flat
+$vox angle.tris -o angle.nvdb
+$vox ball.tris -o other.nvdb --scan-normals angle
+same angle.nvdb other.nvdb
+$vox flat.tris -o flat.nvdb
+$vox ball.tris -o other.nvdb --scan-normals flat
+same flat.nvdb other.nvdb
+run bisque-bake ball.tris $above --scan normals=angle -o x.exr
+refused 64 'bisque-bake: ball.tris has smooth (area) normals: "bisque-voxelize ball.tris -o FILE.tris --scan-normals angle" makes a file with those'
+run bisque-bake flat.tris $above --scan normals=max -o x.exr
+refused 64 'bisque-bake: flat.tris has no normals: "bisque-voxelize flat.tris -o FILE.tris --scan-normals max" makes a file with those'
+run bisque-bake ball.tris $above --scan normals=flat -o flat.exr
+ok run bisque-bake flat.tris $above -o other.exr
+ok run bisque-compare --type normal flat.exr other.exr --max-error 0
+run bisque-bake ball.tris $above --scan normals=smooth -o exact.exr
+ok run bisque-bake made2.tris $above -o other.exr
+ok run bisque-compare --type normal exact.exr other.exr --max-error 0
+# Meshes beside chunk files become one with them.
+ok run bisque-voxelize p1.tris p2.obj p3.tris -o again.tris
+same joined.tris again.tris
 
 # ---- misuse ----
 
@@ -253,7 +292,7 @@ holds "warning of lost colours" [ "$(cat "$err")" = "$p warning: $lost" ]
 $vox vertex.tris red.tris -o strict.nvdb --strict
 refused 65 "$p $lost"
 ok run bisque-bake vertex.tris red.tris low.obj --size 16 --samples 1 --front 1 --back 1 -o 'lost_<MAP>.png'
-holds "a bake that chooses its maps warns once" [ "$(grep -c 'colours of materials are not used' "$err")" -eq 1 ]
+holds "a bake keeps both" [ "$(grep -c 'colours of materials are not used' "$err")" -eq 0 ]
 ok $vox red.tris b.tris -o red.nvdb
 holds "no warning of materials alone" [ ! -s "$err" ]
 

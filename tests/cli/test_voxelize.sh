@@ -191,7 +191,7 @@ refused 64 "$p box.tris is already a chunk file: leave out --texture"
 $vox box.tris --parse-only
 refused 64 "$p box.tris: --parse-only reads meshes"
 $vox box.tris -o box.tris
-refused 64 "$p box.tris: only meshes can be sorted, and an input is a chunk file"
+refused 64 "$p box.tris: this output would overwrite the scan"
 head -c 100 box.tris >short.tris
 $vox short.tris -o a.nvdb
 refused_like 65 '^bisque-voxelize: short\.tris: '

@@ -18,7 +18,7 @@ def _tris_checksum(content):
     total, h = xxhash.xxh3_64(), content.header
     _add(total, "IQQQQ3d3f3fI", h.attributes, h.triangle_count, h.chunk_count, h.source_faces,
          h.skipped_triangles, *h.origin, *h.bounds_min, *h.bounds_max, h.material_count)
-    _add(total, "II", h.ids, len(content.channels))
+    _add(total, "III", h.ids, h.made_normals, len(content.channels))
     for name in content.channels:
         total.update(name)
     for diffuse, path, flags, name, moved, sources in content.materials:
@@ -39,6 +39,8 @@ def _tris_checksum(content):
             if values is not None:
                 total.update(values.tobytes())
         total.update(chunk.triangles.astype("<u4").tobytes())
+        if chunk.made_normals is not None:
+            total.update(chunk.made_normals.tobytes() + chunk.creases.tobytes())
     return total.intdigest()
 
 

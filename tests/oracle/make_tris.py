@@ -3,7 +3,7 @@ import struct
 
 import numpy
 
-from read_tris import COLORS, HEADER_BYTES, MATERIALS, NONE, NORMALS, SAMPLES, TEXCOORDS
+from read_tris import COLORS, CREASE_BYTES, ENTRY_BYTES, HEADER_BYTES, MATERIALS, NONE, NORMALS, SAMPLES, TEXCOORDS
 from refusal import checksum
 
 COORDINATES = [0.0, -0.0, 1.0, -1.5, 1e-45, -1e-38, 3.4028235e38, -3.4028235e38, 500000.125]
@@ -76,9 +76,27 @@ def _make_chunk(random, attributes, material_count):
         chunk["materials"] = random.choice(numbers, nt).astype("<u4")
     if attributes & SAMPLES:
         chunk["samples"] = _sample(random, (nt + 63) // 64)
+    chunk["made_normals"] = _made_normals(random, nv)
+    chunk["creases"] = _creases(random, nv)
     chunk["triangles"] = corners.reshape(nt, 3).astype("<u4")
     chunk["bounds"] = _bounds(chunk["positions"])
     return chunk
+
+
+def _made_normals(random, count):
+    """Packed normals and rises; some vertices have none."""
+    x, y = random.integers(1, 1 << 22, (2, count), dtype="u8")
+    rise = random.normal(0, 1, count).astype("<f4").view("<u4").astype("u8") >> numpy.uint64(12)
+    packed = x | y << numpy.uint64(22) | rise << numpy.uint64(44)
+    return numpy.where(random.random(count) < 0.2, 0, packed).astype("<u8")
+
+
+def _creases(random, vertex_count):
+    vertices = numpy.flatnonzero(random.random(vertex_count) < 0.3)
+    creases = numpy.zeros(len(vertices), [("vertex", "<u4"), ("reserved", "<u4"), ("second", "<u8")])
+    creases["vertex"] = vertices
+    creases["second"] = _made_normals(random, len(vertices))
+    return creases
 
 
 def _bounds(positions):
@@ -97,7 +115,8 @@ def make(random):
     if random.random() < 0.3:
         image = random.bytes(random.integers(1, 40))
         materials = [(m[0], b"#bytes=%d+%d" % (HEADER_BYTES, len(image)), *m[2:]) for m in materials]
-    return {"attributes": attributes, "ids": int(random.integers(0, 4)),
+    made = 0 if attributes & NORMALS else int(random.integers(0, 4))
+    return {"attributes": attributes, "made_normals": made, "ids": int(random.integers(0, 4)),
             "channels": [bytes(c) for c in channels], "materials": materials, "image": image,
             "origin": random.choice([0.0, 5e5, -1e300], 3),
             "counts": random.integers(0, 1 << 62, 2), "chunks": chunks}
@@ -112,11 +131,15 @@ def _encode_chunk(chunk):
     return _pad(data + chunk["triangles"].astype(kind).tobytes())
 
 
-def _encode_entry(offset, size, triangles, chunk, part):
+def _encode_entry(offset, size, triangles, chunk, part, places):
     sample = chunk["samples"].tobytes() if "samples" in chunk else None
-    return struct.pack("<QQQII6fQQ", offset, size, triangles, len(chunk["triangles"]),
+    made = (0, 0, 0, 0)
+    if places:
+        normals = chunk["made_normals"].tobytes() + chunk["creases"].tobytes()
+        made = (*places, checksum(normals), len(chunk["creases"]))
+    return struct.pack("<QQQII6fQQQQQII", offset, size, triangles, len(chunk["triangles"]),
                        len(chunk["positions"]), *chunk["bounds"].ravel(), checksum(part),
-                       0 if sample is None else checksum(sample))
+                       0 if sample is None else checksum(sample), *made, 0)
 
 
 def _encode_source(value, bits, coordinates, path):
@@ -140,13 +163,22 @@ def encode(scan):
     """Returns the bytes of a scan."""
     images = _pad(scan["image"])
     first = HEADER_BYTES + len(images)
-    parts, table, triangles, offset = [], b"", 0, first
-    for chunk in scan["chunks"]:
-        part = _encode_chunk(chunk)
-        table += _encode_entry(offset, len(part), triangles, chunk, part)
-        parts.append(part)
+    parts = [_encode_chunk(chunk) for chunk in scan["chunks"]]
+    table, triangles, offset = b"", 0, first
+    normals = first + sum(map(len, parts))
+    creases = normals + sum(8 * len(chunk["made_normals"]) for chunk in scan["chunks"])
+    for chunk, part in zip(scan["chunks"], parts):
+        places = (normals, creases) if scan["made_normals"] else None
+        table += _encode_entry(offset, len(part), triangles, chunk, part, places)
         offset += len(part)
         triangles += len(chunk["triangles"])
+        normals += 8 * len(chunk["made_normals"])
+        creases += CREASE_BYTES * len(chunk["creases"])
+    made = b""
+    if scan["made_normals"]:
+        made = b"".join(chunk[name].tobytes() for name in ("made_normals", "creases")
+                        for chunk in scan["chunks"])
+    offset += len(made)
     materials = _encode_materials(scan["channels"], scan["materials"])
     bounds = numpy.zeros((2, 3), "<f4")
     if parts:
@@ -157,9 +189,10 @@ def encode(scan):
     header = b"BSQTRIS\n" + struct.pack(
         "<IIQQQQ3d6fQQQQIIIIQQQ", 7, scan["attributes"], triangles, len(parts),
         *map(int, scan["counts"]), *scan["origin"], *bounds.ravel(), first, offset, table_offset,
-        table_offset + len(table), len(scan["materials"]), len(scan["channels"]), scan["ids"], 0,
+        table_offset + len(table), len(scan["materials"]), len(scan["channels"]), scan["ids"],
+        scan["made_normals"],
         checksum(images), checksum(materials), checksum(table))
-    return header + struct.pack("<Q", checksum(header)) + images + b"".join(parts) + materials + table
+    return header + struct.pack("<Q", checksum(header)) + images + b"".join(parts) + made + materials + table
 
 
 # ---- odd properties ----
@@ -226,7 +259,8 @@ def _odd_triangle(random, scan):
 
 def _odd_attribute(random, scan):
     for chunk in scan["chunks"][-1:]:
-        names = [n for n in ("normals", "colors", "materials", "texcoords", "samples") if n in chunk]
+        names = [n for n in ("normals", "colors", "materials", "texcoords", "samples",
+                             "made_normals", "creases") if len(chunk.get(n, ()))]
         if names:
             values = chunk[random.choice(names)].view("<u4").ravel()
             values[random.integers(0, len(values))] = random.choice(
@@ -239,6 +273,8 @@ def _odd_many_vertices(random, scan):
     chunk = {"positions": _positions(random, nv), "triangles":
              numpy.resize(numpy.arange(nv), (nt, 3)).astype("<u4")}
     chunk["bounds"] = _bounds(chunk["positions"])
+    chunk["made_normals"] = _made_normals(random, nv)
+    chunk["creases"] = _creases(random, nv)
     scan["attributes"] = 0
     scan["chunks"] = [chunk]
 
@@ -268,7 +304,7 @@ def mend(data):
         return
     first, materials, table = struct.unpack_from("<QQQ", data, 96)
     struct.pack_into("<Q", data, 120, len(data))
-    for at in range(table, len(data) - 71, 72):
+    for at in range(table, len(data) - ENTRY_BYTES + 1, ENTRY_BYTES):
         _mend_entry(data, at)
     for at, begin, end in ((144, HEADER_BYTES, first), (152, materials, table),
                            (160, table, len(data))):
@@ -284,6 +320,10 @@ def _mend_entry(data, at):
         return
     chunk = data[offset:offset + size]
     struct.pack_into("<Q", data, at + 56, checksum(chunk))
+    normals, creases, _, count = struct.unpack_from("<QQQI", data, at + 72)
+    if any(data[140:144]) and normals + 8 * nv <= len(data) and creases + 16 * count <= len(data):
+        made = data[normals:normals + 8 * nv] + data[creases:creases + 16 * count]
+        struct.pack_into("<Q", data, at + 88, checksum(made))
     if attributes & SAMPLES:
         of_vertices = sum(b for a, b in ((NORMALS, 4), (TEXCOORDS, 8), (COLORS, 4)) if attributes & a)
         begin = nv * (12 + of_vertices) + (4 * nt if attributes & MATERIALS else 0)

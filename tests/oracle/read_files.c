@@ -78,6 +78,7 @@ static void add_header(struct reading *r, const struct fmt_tris_header *h)
     add(r, h->bounds_max, sizeof h->bounds_max);
     add_u32(r, h->material_count);
     add_u32(r, h->ids);
+    add_u32(r, h->made_normals);
     add_u32(r, h->channel_count);
     for (uint32_t c = 0; c < h->channel_count; c++)
         add(r, h->channels[c], strlen(h->channels[c]));
@@ -116,6 +117,25 @@ static void add_chunk(struct reading *r, const struct fmt_tris_chunk_info *info,
     add(r, c->triangles, nt * sizeof *c->triangles);
 }
 
+/* Adds the made normals of a chunk, if the file has any. */
+static int add_normals(struct reading *r, const struct fmt_tris_file *file, uint64_t chunk)
+{
+    struct fmt_tris_normals normals;
+    void *scratch = NULL;
+    if (fmt_tris_get_header(file)->made_normals == 0)
+        return 0;
+    int status = bsq_alloc(r->ctx, "normals", fmt_tris_normals_size_max(file), 1, &scratch);
+    if (!status)
+        status = fmt_tris_load_normals(file, chunk, scratch, &normals);
+    if (!status) {
+        add(r, normals.vertices,
+            fmt_tris_chunks(file)[chunk].vertex_count * sizeof *normals.vertices);
+        add(r, normals.creases, normals.crease_count * sizeof *normals.creases);
+    }
+    bsq_free(r->ctx, scratch);
+    return status;
+}
+
 static int use_tris(struct reading *r, const char *path)
 {
     struct fmt_tris_file *file;
@@ -131,6 +151,8 @@ static int use_tris(struct reading *r, const char *path)
             status = fmt_tris_load(file, i, scratch, &chunk);
         if (!status)
             add_chunk(r, &fmt_tris_chunks(file)[i], &chunk);
+        if (!status)
+            status = add_normals(r, file, i);
         bsq_free(r->ctx, scratch);
     }
     fmt_tris_close(file);

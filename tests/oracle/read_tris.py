@@ -11,7 +11,7 @@ import numpy
 
 from refusal import Refused, array, checksum, fields, has_minus_32768, is_finite, is_zero, need
 
-HEADER_BYTES, ENTRY_BYTES, SOURCE_BYTES = 176, 72, 36
+HEADER_BYTES, ENTRY_BYTES, SOURCE_BYTES, CREASE_BYTES = 176, 104, 36, 16
 NORMALS, TEXCOORDS, COLORS, MATERIALS, SAMPLES = 1, 2, 4, 8, 16
 NONE = 0xFFFFFFFF
 
@@ -34,7 +34,7 @@ class Header:
     material_count: int
     channel_count: int
     ids: int
-    reserved: int
+    made_normals: int
     images_checksum: int
     materials_checksum: int
     table_checksum: int
@@ -52,6 +52,11 @@ class Entry:
     bounds_max: tuple
     checksum: int
     sample_checksum: int
+    normals_offset: int
+    creases_offset: int
+    normals_checksum: int
+    crease_count: int
+    reserved: int
 
 
 @dataclass
@@ -64,6 +69,8 @@ class Chunk:
     colors: numpy.ndarray = None
     materials: numpy.ndarray = None
     samples: numpy.ndarray = None
+    made_normals: numpy.ndarray = None
+    creases: numpy.ndarray = None  # vertex, reserved, second
 
 
 @dataclass
@@ -84,7 +91,8 @@ def _read_header(data):
     need(header.header_checksum == checksum(data[:168]), "checksum of the header")
     need(header.file_bytes == len(data), "length of the file")
     need(header.attributes < 32, "unknown attributes")
-    need(header.reserved == 0, "reserved is not 0")
+    need(header.made_normals <= 3 and not (header.made_normals and header.attributes & NORMALS),
+         "unknown normals")
     need(header.ids <= 3, "unknown ids")
     need(is_finite(header.origin), "origin is not finite")
     need(is_finite(header.bounds_min + header.bounds_max), "bounds are not finite")
@@ -207,12 +215,29 @@ def _is_inside(low, high, header):
         all(a <= b for a, b in zip(high, header.bounds_max))
 
 
+def _normals_end(header, entries, normals):
+    """Checks the places of normals, from `normals` on, and returns where they end."""
+    creases = normals + 8 * sum(entry.vertex_count for entry in entries)
+    if not header.made_normals:
+        for i, e in enumerate(entries):
+            need(e.normals_offset == e.creases_offset == e.normals_checksum == 0 and
+                 e.crease_count == e.reserved == 0, f"chunk {i}: no normals")
+        return normals
+    for i, entry in enumerate(entries):
+        need((entry.normals_offset, entry.creases_offset) == (normals, creases) and
+             entry.crease_count <= entry.vertex_count and entry.reserved == 0,
+             f"chunk {i}: place of its normals")
+        normals += 8 * entry.vertex_count
+        creases += CREASE_BYTES * entry.crease_count
+    return creases
+
+
 def _read_table(data, header):
     part = data[header.table_offset:]
     need(header.table_checksum == checksum(part), "checksum of the table")
     entries, offset, triangles = [], header.chunks_offset, 0
     for i in range(header.chunk_count):
-        n = fields(part, i * ENTRY_BYTES, "QQQII3f3fQQ")
+        n = fields(part, i * ENTRY_BYTES, "QQQII3f3fQQQQQII")
         entry = Entry(*n[:5], n[5:8], n[8:11], *n[11:])
         need(1 <= entry.triangle_count <= 65536, f"chunk {i}: triangle count")
         need(1 <= entry.vertex_count <= 3 * entry.triangle_count, f"chunk {i}: vertex count")
@@ -225,7 +250,8 @@ def _read_table(data, header):
         offset += size
         triangles += entry.triangle_count
         entries.append(entry)
-    need(offset == header.materials_offset, "chunks do not end at the materials")
+    need(_normals_end(header, entries, offset) == header.materials_offset,
+         "chunks or normals do not end at the materials")
     need(triangles == header.triangle_count, "triangle count of the header")
     return entries
 
@@ -245,7 +271,44 @@ def _load_chunk(data, header, entry):
     p = chunk.positions
     need((p >= entry.bounds_min).all() and (p <= entry.bounds_max).all(), "position")
     need(chunk.texcoords is None or is_finite(chunk.texcoords), "texture coordinates")
+    if header.made_normals:
+        _load_normals(data, chunk)
     return chunk
+
+
+def _load_normals(data, chunk):
+    entry = chunk.entry
+    first, creases = entry.normals_offset, entry.creases_offset
+    end = creases + CREASE_BYTES * entry.crease_count
+    need(entry.normals_checksum ==
+         checksum(data[first:first + 8 * entry.vertex_count] + data[creases:end]),
+         "checksum of the normals")
+    chunk.made_normals = array(data, first, "u8", entry.vertex_count)
+    chunk.creases = numpy.frombuffer(data[creases:end],
+                                     [("vertex", "<u4"), ("reserved", "<u4"), ("second", "<u8")])
+    vertices = chunk.creases["vertex"].astype("i8")
+    need((vertices < entry.vertex_count).all() and (numpy.diff(vertices) > 0).all() and
+         not chunk.creases["reserved"].any(), "order of the creases")
+
+
+def unpack_normals(packed):
+    """Returns unit normals, zero where there is none, and rises."""
+    x, y = (((packed >> at) & 0x3FFFFF).astype("f8") - 2097152 for at in (numpy.uint64(0), numpy.uint64(22)))
+    x, y = x / 2097151, y / 2097151
+    z = 1 - abs(x) - abs(y)
+    folded = z < 0
+    x, y = (numpy.where(folded, numpy.copysign(1 - abs(b), a), a) for a, b in ((x, y), (y, x)))
+    n = numpy.stack([x, y, z], axis=-1)
+    n /= numpy.linalg.norm(n, axis=-1, keepdims=True)
+    rises = ((packed >> numpy.uint64(44)) << numpy.uint64(12)).astype("<u4").view("<f4")
+    return numpy.where((packed == 0)[..., None], 0, n), rises
+
+
+def _verify_normals(packed):
+    with numpy.errstate(all="ignore"):
+        finite = numpy.isfinite(unpack_normals(packed)[1])
+    valid = (packed & 0x3FFFFF != 0) & (packed >> numpy.uint64(22) & 0x3FFFFF != 0) & finite
+    need((valid | (packed == 0)).all(), "a made normal")
 
 
 def _verify_sample(records):
@@ -265,6 +328,9 @@ def _verify_chunk(chunk):
     used[chunk.triangles.ravel()] = True
     need(used.all(), "a vertex is not used")
     need(chunk.normals is None or not has_minus_32768(chunk.normals), "-32768 in a normal")
+    if chunk.made_normals is not None:
+        _verify_normals(chunk.made_normals)
+        _verify_normals(chunk.creases["second"])
     need(chunk.colors is None or (chunk.colors >> 24 == 255).all(), "a colour is not opaque")
     if chunk.samples is not None:
         need(chunk.entry.sample_checksum == checksum(chunk.samples.tobytes()),

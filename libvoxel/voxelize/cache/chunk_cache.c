@@ -11,15 +11,11 @@
 enum { NO_SLOT = -1 };
 #define NO_CHUNK UINT32_MAX
 
-/* A slot's content is made in two steps, because the normals of one chunk need other chunks as they
- * are in the file. The first worker that finds a step undone does it; others wait. */
-enum stage { STAGE_READING, STAGE_READ, STAGE_FINISHING, STAGE_READY };
-
 struct slot {
     uint32_t chunk; /* NO_CHUNK: empty */
     uint32_t users;
-    enum stage stage;
-    int status; /* of the last step */
+    bool ready; /* or it has failed */
+    int status;
     struct vox_chunk_content content;
 };
 
@@ -33,35 +29,20 @@ struct vox_chunks {
     struct bsq_ctx *ctx;
     struct vox_chunk_source from;
     pthread_mutex_t lock;
-    pthread_cond_t stepped; /* a step was done */
-    pthread_cond_t freed;   /* a slot lost its last user */
+    pthread_cond_t made;  /* a slot is ready, or has failed */
+    pthread_cond_t freed; /* a slot lost its last user */
     uint32_t chunk_count, slot_count, slots_used;
     struct slot *slots;
     struct use *uses;    /* one a chunk */
     uint64_t slot_bytes; /* enough for any chunk */
 };
 
-/* ---- the two steps ---- */
-
-static int cache_read_chunk(struct vox_chunks *c, struct slot *slot)
+static int make_content(struct vox_chunks *c, struct slot *slot)
 {
     int status = 0;
     if (!slot->content.memory)
         status = bsq_alloc(c->ctx, "chunk cache", c->slot_bytes, 1, &slot->content.memory);
-    return status < 0 ? status : vox_chunk_read(&c->from, slot->chunk, &slot->content);
-}
-
-static int lend(void *arg, uint32_t chunk, struct vox_loan *out);
-
-static void take_back(void *arg, uint32_t chunk)
-{
-    vox_chunks_release(arg, chunk);
-}
-
-static int finish_chunk(struct vox_chunks *c, struct slot *slot)
-{
-    const struct vox_smooth_lender lender = {c, lend, take_back};
-    return vox_chunk_finish(&c->from, &lender, slot->chunk, &slot->content);
+    return status < 0 ? status : vox_chunk_make(&c->from, slot->chunk, &slot->content);
 }
 
 /* ---- the cache ---- */
@@ -82,8 +63,7 @@ static void find_first_uses(struct vox_chunks *c, const struct vox_chunk_box *bo
 
 int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                       const struct vox_transform *transform, const struct vox_chunk_box *boxes,
-                      uint64_t box_count, struct vox_smooth *smooth, uint32_t slot_count,
-                      struct vox_chunks **out)
+                      uint64_t box_count, bool smooth, uint32_t slot_count, struct vox_chunks **out)
 {
     const uint32_t chunk_count = (uint32_t)fmt_tris_get_header(file)->chunk_count;
     const char *what = "chunk cache";
@@ -94,11 +74,11 @@ int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
     *c = (struct vox_chunks){.ctx = ctx,
                              .from = {file, transform, smooth},
                              .lock = PTHREAD_MUTEX_INITIALIZER,
-                             .stepped = PTHREAD_COND_INITIALIZER,
+                             .made = PTHREAD_COND_INITIALIZER,
                              .freed = PTHREAD_COND_INITIALIZER,
                              .chunk_count = chunk_count,
                              .slot_count = slot_count,
-                             .slot_bytes = vox_chunks_slot_bytes(file, smooth != NULL)};
+                             .slot_bytes = vox_chunks_slot_bytes(file, smooth)};
     BSQ_TRY(bsq_calloc(ctx, what, slot_count, sizeof *c->slots, &c->slots));
     BSQ_TRY(bsq_calloc(ctx, what, chunk_count, sizeof *c->uses, &c->uses));
     find_first_uses(c, boxes, box_count);
@@ -172,13 +152,13 @@ static struct slot *cache_find_slot(struct vox_chunks *c)
     return best;
 }
 
-/* Assigns the slot to the chunk. The caller has to do the first step. */
+/* Assigns the slot to the chunk, which the caller has to make. */
 static void give_slot(struct vox_chunks *c, struct slot *slot, uint32_t chunk)
 {
     if (slot->chunk != NO_CHUNK)
         c->uses[slot->chunk].slot = NO_SLOT;
     slot->chunk = chunk;
-    slot->stage = STAGE_READING;
+    slot->ready = false;
     slot->status = 0;
     c->uses[chunk].slot = (int32_t)(slot - c->slots);
 }
@@ -196,79 +176,31 @@ static void leave_slot(struct vox_chunks *c, struct slot *slot)
     pthread_cond_broadcast(&c->freed);
 }
 
-/* Brings a slot that is in use to a stage: does the step if it is `mine`, else waits until it is
- * done. */
-static int cache_run_step(struct vox_chunks *c, struct slot *slot, bool mine, enum stage stage,
-                          int (*step)(struct vox_chunks *, struct slot *))
+/* Makes the content of a slot that is in use if it is `mine`, else waits until it is made. */
+static int make_ready(struct vox_chunks *c, struct slot *slot, bool mine)
 {
     if (mine) {
         pthread_mutex_unlock(&c->lock);
-        int status = step(c, slot);
+        int status = make_content(c, slot);
         pthread_mutex_lock(&c->lock);
-        slot->stage = stage;
+        slot->ready = true;
         slot->status = status;
-        pthread_cond_broadcast(&c->stepped);
+        pthread_cond_broadcast(&c->made);
     }
-    while (slot->stage < stage && slot->status == 0)
-        pthread_cond_wait(&c->stepped, &c->lock);
+    while (!slot->ready)
+        pthread_cond_wait(&c->made, &c->lock);
     return slot->status;
 }
 
-/* Does or awaits both steps. fresh: the first step is the caller's. */
-static int make_ready(struct vox_chunks *c, struct slot *slot, bool fresh)
-{
-    int status = cache_run_step(c, slot, fresh, STAGE_READ, cache_read_chunk);
-    if (status < 0)
-        return status;
-    bool finish = slot->stage == STAGE_READ;
-    if (finish)
-        slot->stage = STAGE_FINISHING;
-    return cache_run_step(c, slot, finish, STAGE_READY, finish_chunk);
-}
-
-/* Lends a chunk as it is in the file. Lends nothing if the chunk has no slot and is needed later
- * than all chunks that have one. */
-static int lend(void *arg, uint32_t chunk, struct vox_loan *out)
-{
-    struct vox_chunks *c = arg;
-    const struct use *use = &c->uses[chunk];
-    int status = 0;
-    *out = (struct vox_loan){.chunk = NULL};
-    pthread_mutex_lock(&c->lock);
-    bool fresh = use->slot == NO_SLOT;
-    if (fresh) {
-        struct slot *slot = cache_find_slot(c);
-        if (slot && (slot->chunk == NO_CHUNK || !needed_before(c, slot->chunk, chunk)))
-            give_slot(c, slot, chunk);
-    }
-    if (use->slot != NO_SLOT) {
-        struct slot *slot = &c->slots[use->slot];
-        slot->users++;
-        status = cache_run_step(c, slot, fresh, STAGE_READ, cache_read_chunk);
-        if (status < 0)
-            leave_slot(c, slot);
-        else
-            *out = (struct vox_loan){&slot->content.chunk.source, slot->content.chunk.groups,
-                                     slot->content.vertex_groups};
-    }
-    pthread_mutex_unlock(&c->lock);
-    return status;
-}
-
-static bool in_making(const struct slot *slot)
-{
-    return slot->status == 0 && slot->stage != STAGE_READ && slot->stage != STAGE_READY;
-}
-
-/* Returns the chunk needed first among those that are neither ready nor in the making. NO_CHUNK if
- * there is none. Looking at all takes less than 50 microseconds with a billion triangles. */
+/* Returns the chunk needed first among those that have no slot. NO_CHUNK if there is none. Looking
+ * at all takes less than 50 microseconds with a billion triangles. */
 static uint32_t next_unready(const struct vox_chunks *c)
 {
     uint32_t best = NO_CHUNK;
     for (uint32_t i = 0; i < c->chunk_count; i++) {
         const struct use *use = &c->uses[i];
-        const bool unready = use->slot == NO_SLOT || c->slots[use->slot].stage == STAGE_READ;
-        if (unready && !is_finished(use) && (best == NO_CHUNK || needed_before(c, i, best)))
+        if (use->slot == NO_SLOT && !is_finished(use) &&
+            (best == NO_CHUNK || needed_before(c, i, best)))
             best = i;
     }
     return best;
@@ -290,23 +222,20 @@ static bool give_spare_slot(struct vox_chunks *c, uint32_t chunk)
 static int prepare_others(struct vox_chunks *c, const struct slot *wanted)
 {
     int status = 0;
-    while (status == 0 && in_making(wanted)) {
+    while (status == 0 && !wanted->ready) {
         uint32_t chunk = next_unready(c);
-        if (chunk == NO_CHUNK)
-            break;
-        bool fresh = c->uses[chunk].slot == NO_SLOT;
-        if (fresh && !give_spare_slot(c, chunk))
+        if (chunk == NO_CHUNK || !give_spare_slot(c, chunk))
             break;
         struct slot *slot = &c->slots[c->uses[chunk].slot];
         slot->users++;
-        status = make_ready(c, slot, fresh);
+        status = make_ready(c, slot, true);
         leave_slot(c, slot);
     }
     return status;
 }
 
 /* Returns a slot of the chunk, and counts a use of it. Waits while all slots are held. *fresh: the
- * first step is the caller's. */
+ * caller has to make it. */
 static struct slot *take_slot(struct vox_chunks *c, uint32_t chunk, bool *fresh)
 {
     const struct use *use = &c->uses[chunk];

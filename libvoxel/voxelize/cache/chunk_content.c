@@ -8,35 +8,38 @@
 
 /* ---- layout ---- */
 
-/* Returns the layout for a chunk, or for the largest one. load_bytes: what fmt_tris_load()
- * needs. */
+/* Returns the layout for a chunk, or for the largest one. load_bytes, made_bytes: what
+ * fmt_tris_load() and fmt_tris_load_normals() need. */
 static struct vox_chunk_layout content_lay_out(const struct fmt_tris_file *file, bool smooth,
-                                               uint64_t load_bytes, uint32_t vertices,
-                                               uint32_t triangles)
+                                               uint64_t load_bytes, uint64_t made_bytes,
+                                               uint32_t vertices, uint32_t triangles)
 {
     bool normals = smooth || (fmt_tris_get_header(file)->attributes & FMT_TRIS_NORMALS);
     uint64_t groups = vox_group_count(triangles, VOX_GROUP_TRIANGLES);
-    uint64_t vertex_groups = vox_group_count(vertices, VOX_GROUP_VERTICES);
     struct vox_chunk_layout to;
-    to.points_at = bsq_align_up(load_bytes, BSQ_ALIGNMENT);
+    to.made_at = bsq_align_up(load_bytes, BSQ_ALIGNMENT);
+    to.points_at = to.made_at + (smooth ? bsq_align_up(made_bytes, BSQ_ALIGNMENT) : 0);
     to.normals_at = to.points_at + bsq_align_up(vertices * sizeof(double[4]), BSQ_ALIGNMENT);
     to.groups_at =
         to.normals_at + (normals ? bsq_align_up(vertices * sizeof(float[4]), BSQ_ALIGNMENT) : 0);
-    to.vertex_groups_at =
-        to.groups_at + bsq_align_up(groups * sizeof(struct vox_box), BSQ_ALIGNMENT);
     to.inconsistent_at =
-        to.vertex_groups_at +
-        (smooth ? bsq_align_up(vertex_groups * sizeof(struct vox_box), BSQ_ALIGNMENT) : 0);
+        to.groups_at + bsq_align_up(groups * sizeof(struct vox_box), BSQ_ALIGNMENT);
     to.bytes = to.inconsistent_at + bsq_align_up(groups * sizeof(bool), BSQ_ALIGNMENT);
     return to;
+}
+
+static uint64_t made_bytes(const struct fmt_tris_chunk_info *info)
+{
+    return info->vertex_count * sizeof(uint64_t) +
+           info->crease_count * sizeof(struct fmt_tris_crease);
 }
 
 /* Returns a layout as small as the chunk needs: memory that is not touched takes no pages. */
 static struct vox_chunk_layout layout_of(const struct vox_chunk_source *from, uint32_t chunk)
 {
     const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(from->file)[chunk];
-    return content_lay_out(from->file, from->smooth != NULL, fmt_tris_load_size(from->file, chunk),
-                           info->vertex_count, info->triangle_count);
+    return content_lay_out(from->file, from->smooth, fmt_tris_load_size(from->file, chunk),
+                           made_bytes(info), info->vertex_count, info->triangle_count);
 }
 
 uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
@@ -48,7 +51,9 @@ uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
         vertices = infos[i].vertex_count > vertices ? infos[i].vertex_count : vertices;
         triangles = infos[i].triangle_count > triangles ? infos[i].triangle_count : triangles;
     }
-    return content_lay_out(file, smooth, fmt_tris_load_size_max(file), vertices, triangles).bytes;
+    return content_lay_out(file, smooth, fmt_tris_load_size_max(file),
+                           fmt_tris_normals_size_max(file), vertices, triangles)
+        .bytes;
 }
 
 /* ---- index space and groups ----
@@ -115,17 +120,11 @@ static struct vox_box box_of(const struct vox_transform *transform, const struct
     return box;
 }
 
-/* Sums over triangles: squares of their first edges, by axis; and the largest extents. */
-struct measured {
-    struct row squares;
-    four_floats extent;
-};
-
-/* Returns the voxels of the bounds of triangles from `begin` to `end` > begin, and measures them.
- */
+/* Returns the voxels of the bounds of triangles from `begin` to `end` > begin. Adds the squares of
+ * their first edges, by axis. */
 LANES_INLINE struct vox_box triangle_box(const struct fmt_tris_chunk *chunk,
                                          const struct vox_transform *transform, uint32_t begin,
-                                         uint32_t end, struct measured *sum)
+                                         uint32_t end, struct row *squares)
 {
     struct bounds bounds = begin_at(chunk->positions[chunk->triangles[begin][0]]);
     for (uint32_t t = begin; t < end; t++) {
@@ -137,40 +136,21 @@ LANES_INLINE struct vox_box triangle_box(const struct fmt_tris_chunk *chunk,
         widen_bounds(&own, chunk->positions[v[2]]);
         bounds.least = four_floats_min(own.least, bounds.least);
         bounds.most = four_floats_max(own.most, bounds.most);
-        sum->squares = row_sum(sum->squares, row_product(edge, edge));
-        sum->extent = four_floats_max(sum->extent, own.most - own.least);
+        *squares = row_sum(*squares, row_product(edge, edge));
     }
     return box_of(transform, &bounds);
 }
 
-struct vox_triangle_sizes vox_triangle_groups(const struct fmt_tris_chunk *chunk,
-                                              const struct vox_transform *transform,
-                                              struct vox_box *groups)
+double vox_triangle_groups(const struct fmt_tris_chunk *chunk,
+                           const struct vox_transform *transform, struct vox_box *groups)
 {
-    struct measured sum = {.squares = row_of(0.0, 0.0, 0.0, 0.0)};
-    float extent[4];
+    struct row sum = row_of(0.0, 0.0, 0.0, 0.0);
     for (uint32_t begin = 0; begin < chunk->triangle_count; begin += VOX_GROUP_TRIANGLES)
         *groups++ =
             triangle_box(chunk, transform, begin,
                          vox_group_end(begin, chunk->triangle_count, VOX_GROUP_TRIANGLES), &sum);
-    memcpy(extent, &sum.extent, sizeof extent);
-    const double squares =
-        row_number(sum.squares, 0) + row_number(sum.squares, 1) + row_number(sum.squares, 2);
-    return (struct vox_triangle_sizes){squares / (transform->h * transform->h) /
-                                           (double)chunk->triangle_count,
-                                       fmaxf(fmaxf(extent[0], extent[1]), extent[2])};
-}
-
-void vox_vertex_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
-                       struct vox_box *groups)
-{
-    for (uint32_t begin = 0; begin < chunk->vertex_count; begin += VOX_GROUP_VERTICES) {
-        uint32_t end = vox_group_end(begin, chunk->vertex_count, VOX_GROUP_VERTICES);
-        struct bounds bounds = begin_at(chunk->positions[begin]);
-        for (uint32_t v = begin; v < end; v++)
-            widen_bounds(&bounds, chunk->positions[v]);
-        *groups++ = box_of(transform, &bounds);
-    }
+    const double squares = row_number(sum, 0) + row_number(sum, 1) + row_number(sum, 2);
+    return squares / (transform->h * transform->h) / (double)chunk->triangle_count;
 }
 
 /* ---- the scan's own normals ----
@@ -253,7 +233,7 @@ bool vox_own_normals_inconsistent(const struct vox_own_normals *of, uint32_t beg
     return squares > area * fmax(limit * limit, INCONSISTENT_LEAST_SQUARE);
 }
 
-/* ---- the two steps ---- */
+/* ---- making a chunk ready ---- */
 
 /* Computes the points of all vertices. */
 static void place_points(const struct vox_transform *transform, const struct fmt_tris_chunk *source,
@@ -284,11 +264,6 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
 /* Above this mean square smooth normals blend well without planes if fragments would be lifted
  * far. */
 #define WIDE_EDGE_SQUARE 6.0
-/* Extent of a triangle along an axis, in voxels, above which its corners have normals of both sides
- * of creases. Below they change maps only beside the edge, unless small triangles have large
- * weights (docs/decisions/0008-normals-of-scans-without-normals.md). */
-#define CREASE_EXTENT 8.0
-
 /* Facet-noise weight of records per square of an edge in voxels (docs/decisions/0009): of facets
  * without vertex normals, and of triangles with smooth ones. */
 #define NOISE_OF_FACETS   2.7
@@ -309,48 +284,41 @@ static void find_inconsistent(bool large, struct vox_chunk_content *content)
     chunk->inconsistent = any ? inconsistent : NULL;
 }
 
-/* Computes the voxels of groups, and sizes of triangles. */
+/* Computes the voxels of groups, and the size of triangles. */
 static void find_groups(const struct vox_chunk_source *from, struct vox_chunk_content *content)
 {
     struct vox_chunk *chunk = &content->chunk;
-    const struct fmt_tris_chunk *source = &chunk->source;
     struct vox_box *groups =
         (struct vox_box *)(void *)(content->memory + content->layout.groups_at);
-    struct vox_box *vertex_groups =
-        (struct vox_box *)(void *)(content->memory + content->layout.vertex_groups_at);
     memcpy(chunk->last_cell, from->transform->voxels.hi, sizeof from->transform->voxels.hi);
-    content->sizes = vox_triangle_groups(source, from->transform, groups);
+    content->mean_square = vox_triangle_groups(&chunk->source, from->transform, groups);
     chunk->groups = groups;
-    chunk->group_count = vox_group_count(source->triangle_count, VOX_GROUP_TRIANGLES);
-    if (from->smooth)
-        vox_vertex_groups(source, from->transform, vertex_groups);
-    content->vertex_groups = vertex_groups;
+    chunk->group_count = vox_group_count(chunk->source.triangle_count, VOX_GROUP_TRIANGLES);
 }
 
-int vox_chunk_read(const struct vox_chunk_source *from, uint32_t number,
-                   struct vox_chunk_content *content)
+/* Loads the normals that were made for the chunk. */
+static int take_made_normals(const struct vox_chunk_source *from, uint32_t number,
+                             struct vox_chunk_content *content, float (*normals)[4],
+                             double (*points)[4])
 {
-    content->layout = layout_of(from, number);
-    int status = fmt_tris_load(from->file, number, content->memory, &content->chunk.source);
-    if (status == 0)
-        find_groups(from, content);
+    struct fmt_tris_normals made;
+    const int status =
+        fmt_tris_load_normals(from->file, number, content->memory + content->layout.made_at, &made);
+    const uint32_t vertices = status == 0 ? content->chunk.source.vertex_count : 0;
+    for (uint32_t v = 0; v < vertices; v++) {
+        bsq_vertex_normal_unpack(made.vertices[v], normals[v]);
+        normals[v][3] = (float)((double)bsq_vertex_rise(made.vertices[v]) / from->transform->h);
+    }
+    for (uint32_t i = 0; status == 0 && i < made.crease_count; i++)
+        points[made.creases[i].vertex][3] = (i + 1.0) * VOX_CREASE_UNIT;
+    if (status == 0 && made.crease_count > 0)
+        content->chunk.creases = made.creases;
     return status;
 }
 
-/* Returns the extent of triangles at whose corners creases are looked for, see struct
- * vox_smooth_chunk. */
-static float crease_extent(const struct vox_chunk_source *from,
-                           const struct vox_triangle_sizes *sizes)
-{
-    const float extent = (float)(CREASE_EXTENT * from->transform->h);
-    if (vox_smooth_weights(from->smooth) == BSQ_SCAN_NORMALS_MAX ||
-        sizes->mean_square > LARGE_EDGE_SQUARE)
-        return -1.0f;
-    return sizes->extent > extent ? extent : INFINITY;
-}
-
-int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smooth_lender *lender,
-                     uint32_t number, struct vox_chunk_content *content)
+/* Places vertices in index space, and makes normals and what depends on them. */
+static int content_finish(const struct vox_chunk_source *from, uint32_t number,
+                          struct vox_chunk_content *content)
 {
     struct vox_chunk *chunk = &content->chunk;
     const struct fmt_tris_chunk *source = &chunk->source;
@@ -358,26 +326,34 @@ int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smoot
     double(*points)[4] = (double(*)[4])(void *)(content->memory + content->layout.points_at);
     int status = 0;
     place_points(from->transform, source, points);
-    chunk->coarse = content->sizes.mean_square > COARSE_EDGE_SQUARE;
-    chunk->wide = source->normals || content->sizes.mean_square > WIDE_EDGE_SQUARE;
+    chunk->coarse = content->mean_square > COARSE_EDGE_SQUARE;
+    chunk->wide = source->normals || content->mean_square > WIDE_EDGE_SQUARE;
     chunk->normals = (const float(*)[4])normals;
     chunk->points = (const double(*)[4])points;
-    chunk->has_seconds = false;
+    chunk->creases = NULL;
+    chunk->h = from->transform->h;
     chunk->inconsistent = NULL;
     chunk->noise_share = 0.0;
-    if (from->smooth && !source->normals)
+    if (from->smooth)
         chunk->noise_share = chunk->coarse ? NOISE_OF_VERTICES : NOISE_OF_FACETS;
     if (source->normals) {
         unpack_normals(source, normals);
-        find_inconsistent(content->sizes.mean_square > LARGE_EDGE_SQUARE, content);
+        find_inconsistent(content->mean_square > LARGE_EDGE_SQUARE, content);
     } else if (from->smooth && chunk->coarse) {
-        const struct vox_smooth_chunk smooth = {number,
-                                                {source, chunk->groups, content->vertex_groups},
-                                                crease_extent(from, &content->sizes)};
-        status = vox_smooth_normals(from->smooth, lender, &smooth, from->transform, normals, points,
-                                    &chunk->has_seconds);
+        status = take_made_normals(from, number, content, normals, points);
     } else {
         chunk->normals = NULL;
     }
     return status;
+}
+
+int vox_chunk_make(const struct vox_chunk_source *from, uint32_t number,
+                   struct vox_chunk_content *content)
+{
+    content->layout = layout_of(from, number);
+    const int status = fmt_tris_load(from->file, number, content->memory, &content->chunk.source);
+    if (status < 0)
+        return status;
+    find_groups(from, content);
+    return content_finish(from, number, content);
 }

@@ -1,6 +1,4 @@
 /* chunk_content.h - private to the cache: makes a chunk ready to voxelize, in the memory of a slot.
- *
- * This takes two steps, because the normals of one chunk need other chunks as they are in the file.
  */
 #ifndef VOX_VOXELIZE_CACHE_CHUNK_CONTENT_H
 #define VOX_VOXELIZE_CACHE_CHUNK_CONTENT_H
@@ -11,42 +9,31 @@
 struct vox_chunk_source {
     const struct fmt_tris_file *file;
     const struct vox_transform *transform;
-    struct vox_smooth *smooth; /* NULL: chunks without normals stay without */
+    bool smooth; /* see vox_chunks_create() */
 };
 
-/* Offsets in bytes in a slot's memory. The chunk as it is in the file comes first. */
+/* Offsets in bytes in a slot's memory. The chunk as it is in the file comes first, then its made
+ * normals. */
 struct vox_chunk_layout {
-    uint64_t points_at, normals_at, groups_at, vertex_groups_at, inconsistent_at, bytes;
-};
-
-/* The mean square of the triangles' first edges, in voxels, and the largest extent of a triangle
- * along an axis, in the scan's units. */
-struct vox_triangle_sizes {
-    double mean_square;
-    float extent;
+    uint64_t made_at, points_at, normals_at, groups_at, inconsistent_at, bytes;
 };
 
 struct vox_chunk_content {
     uint8_t *memory; /* vox_chunks_slot_bytes() */
     struct vox_chunk_layout layout;
     struct vox_chunk chunk;
-    struct vox_triangle_sizes sizes;
-    const struct vox_box *vertex_groups; /* for chunks that need this one's triangles */
+    double mean_square; /* of the triangles' first edges, in voxels */
 };
 
-/* The first step: loads chunk `number` as it is in the file, and finds the voxels of its groups. */
-int vox_chunk_read(const struct vox_chunk_source *from, uint32_t number,
+/* Loads chunk `number`, finds the voxels of its groups, places its vertices in index space, and
+ * makes what depends on normals. Errors: those of fmt_tris_load(). */
+int vox_chunk_make(const struct vox_chunk_source *from, uint32_t number,
                    struct vox_chunk_content *content);
-/* The second step: places vertices in index space, and makes normals and what depends on them. */
-int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smooth_lender *lender,
-                     uint32_t number, struct vox_chunk_content *content);
 
-/* Compute the voxels of each group's bounds; of triangles, return the sizes too. */
-struct vox_triangle_sizes vox_triangle_groups(const struct fmt_tris_chunk *chunk,
-                                              const struct vox_transform *transform,
-                                              struct vox_box *groups);
-void vox_vertex_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
-                       struct vox_box *groups);
+/* Computes the voxels of each group's bounds, and returns the mean square of the triangles' first
+ * edges, in voxels. */
+double vox_triangle_groups(const struct fmt_tris_chunk *chunk,
+                           const struct vox_transform *transform, struct vox_box *groups);
 
 /* Triangles, and by vertex number: points in voxels and unit normals. */
 struct vox_own_normals {

@@ -2,6 +2,7 @@
 #ifndef VOX_VOXELIZE_CLIP_SMALL_LANES_H
 #define VOX_VOXELIZE_CLIP_SMALL_LANES_H
 
+#include "base/geometry/smooth_normals.h"
 #include "libvoxel/voxelize/clip/fragment_block.h"
 #include "libvoxel/voxelize/clip/shade_lanes.h"
 
@@ -33,7 +34,7 @@ choose_sides(const struct vox_chunk *chunk, const struct block_triangle *const t
         doubles *n = t->normal[i], *rise = &t->weights.rise[i], second[4];
         for (int l = 0; l < LANE_COUNT; l++) {
             const uint32_t vertex = chunk->source.triangles[triangle[l]->number][i];
-            vox_second_unpack(chunk->points[vertex][3], unpacked[l]);
+            vox_chunk_second(chunk, vertex, unpacked[l]);
             seconds[l] = unpacked[l];
         }
         lanes_gather_floats(seconds, second);
@@ -98,7 +99,7 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *job,
                 t->rgb[i][k][l] = rgb[i][k];
     }
     shade_measure(t);
-    if (chunk->has_seconds)
+    if (chunk->creases)
         choose_sides(chunk, triangle, t);
     shade_prepare(t);
     shade_put_facts(t, facts);

@@ -104,6 +104,7 @@ static void write_triangles(const struct scan *scan)
             sphere.triangles[t][2] = second;
         }
     }
+    sphere.smooth = true;
     triangle_scan_write(&sphere, origin, 5000, scan->scan);
     triangle_scan_free(&sphere);
 }

@@ -11,6 +11,7 @@ struct triangle_scan {
     float (*texcoords)[2];
     uint32_t (*triangles)[3];
     struct fmt_tris_material material[2];
+    bool smooth; /* make vertex normals by area */
 };
 
 /* Returns a mesh that is all zeros, with memory for every attribute. Free it with

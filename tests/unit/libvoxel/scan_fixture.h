@@ -31,7 +31,8 @@ struct scan_mesh scan_sphere(double radius, double max_edge);
 /* Sorts triangles along a Morton curve, as in a real chunk file. */
 void scan_sort(struct scan_mesh *mesh);
 
-/* Writes the mesh as a chunk file with at most chunk_triangles in a chunk. */
+/* Writes the mesh as a chunk file with at most chunk_triangles in a chunk, and with vertex normals
+ * by area if it has none. */
 void scan_write(struct bsq_ctx *ctx, const char *path, const struct scan_mesh *mesh,
                 const double origin[3], const struct fmt_tris_material *materials,
                 uint32_t material_count, uint32_t chunk_triangles);

@@ -147,10 +147,12 @@ static void expect_the_same_for_all_ways(struct sort_fixture *f, unsigned flags)
         expect_sorted(f, sort_polygons(f, flags, way));
         assert_int_equal(f->report.triangles + f->report.degenerate_triangles, triangles);
         assert_int_equal(f->report.unused_vertices, 0);
-        assert_string_equal(f->progress.stage, "writing");
+        assert_string_equal(f->progress.stage, flags & NORMALS ? "writing" : "normals");
         assert_int_equal(f->progress.done, f->progress.total);
         assert_false(f->beyond_total);
-        assert_int_equal(f->report.temp_bytes > 0, way > 0);
+        /* Vertices between chunks go to temporary files too, if there are many. */
+        if (way > 0 || !(flags & TANGLED))
+            assert_int_equal(f->report.temp_bytes > 0, way > 0);
         uint8_t *bytes = test_read("scan.tris", &sizes[way > 0]);
         if (way == 0) {
             expected = bytes;

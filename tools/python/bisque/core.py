@@ -264,6 +264,9 @@ def _word(name: str, word: str, words: Sequence[str]) -> int:
     return words.index(word)
 
 
+NORMALS = ("auto", "area", "angle", "max", "flat")
+
+
 def _kind(job: Job, path: str) -> int:
     kind = ffi.new("enum fmt_kind *")
     job.run(lib.fmt_recognise, job.string(path), kind)
@@ -272,7 +275,7 @@ def _kind(job: Job, path: str) -> int:
 
 def _sort(job: Job, scan: Any, output: str, texture: Any = None, ids: str = "none",
           channels: Sequence[str] = (), embed_textures: bool = False,
-          temporary: Any = ffi.NULL) -> dict:
+          scan_normals: str = "auto", temporary: Any = ffi.NULL) -> dict:
     options = ffi.new("struct vox_sort_options *")
     lib.vox_sort_defaults(options)
     if _is_memory(scan):
@@ -288,6 +291,7 @@ def _sort(job: Job, scan: Any, output: str, texture: Any = None, ids: str = "non
         {"name": job.string(name), "texture_path": ffi.NULL} for name in channels]))
     options.channel_count = len(channels)
     options.embed_textures = embed_textures
+    options.scan_normals = _word("scan_normals", scan_normals, NORMALS)
     options.temp_tris = temporary
     report = _new_report("struct vox_sort_report")
     job.run(lib.vox_sort, options, report)
@@ -302,35 +306,38 @@ def is_chunks(scan: Any, job: Job | None = None) -> bool:
         return all(_kind(job, path) == lib.FMT_KIND_TRIS for path in _paths(scan))
 
 
-def _chunks(job: Job, scan: Any) -> str | list[str]:
-    """Returns the paths of a scan as chunk files; sorts meshes into a temporary one."""
+def _chunks(job: Job, scan: Any, scan_normals: str = "flat") -> str | list[str]:
+    """Returns the paths of a scan as chunk files; sorts meshes into a temporary one, with these
+    vertex normals."""
     if is_chunks(scan, job):
         return _paths(scan)
     path = job.temporary("scan.tris")
-    _sort(job, scan, path)
+    _sort(job, scan, path, scan_normals=scan_normals)
     return [path]
 
 
 def sort(scan: Any, output: str | os.PathLike, *, texture: Any = None, ids: str = "none",
-         channels: Sequence[str] = (), embed_textures: bool = False,
+         channels: Sequence[str] = (), embed_textures: bool = False, scan_normals: str = "auto",
          memory: int | str | None = None, threads: int = 0, tmpdir: Any = None,
          progress: Progress | None = None) -> dict:
     """Sorts a scan into a chunk file (.tris), from which all other functions start faster.
 
     texture: an image for all faces with texture coordinates. ids: "material", "object" or "color".
-    channels: such as ("roughness",). Returns the report. Raises Error."""
+    channels: such as ("roughness",). scan_normals: of a scan that has none, by "area" (auto), "angle",
+    "max" or "flat". Returns the report. Raises Error."""
     with Job(memory, threads, tmpdir, progress) as job:
-        return _sort(job, scan, os.fspath(output), texture, ids, channels, embed_textures)
+        return _sort(job, scan, os.fspath(output), texture, ids, channels, embed_textures,
+                     scan_normals)
 
 
 def voxelize(scan: Any, output: str | os.PathLike, *, resolution: int = 2048,
-             voxel_size: float | None = None, scan_normals: str = "area",
+             voxel_size: float | None = None, scan_normals: str = "auto",
              channels: str | None = None, memory: int | str | None = None, threads: int = 0,
              tmpdir: Any = None, progress: Progress | None = None) -> dict:
     """Voxelizes a scan into a grid (.nvdb) of `resolution` voxels along its longest side, or with
     voxels of an edge in the scan's units. Returns the report. Raises Error."""
     with Job(memory, threads, tmpdir, progress) as job:
-        chunks = _chunks(job, scan)
+        chunks = _chunks(job, scan, scan_normals)
         options = ffi.new("struct vox_voxelize_options *")
         lib.vox_voxelize_defaults(options)
         options.tris_path = job.string(chunks[0])
@@ -339,7 +346,7 @@ def voxelize(scan: Any, output: str | os.PathLike, *, resolution: int = 2048,
         options.grid_path = job.string(os.fspath(output))
         options.resolution = 0 if voxel_size else resolution
         options.voxel_size = voxel_size or 0
-        options.scan_normals = _word("scan_normals", scan_normals, ("area", "angle", "max", "flat"))
+        options.scan_normals = _word("scan_normals", scan_normals, NORMALS)
         options.channels = job.string(channels)
         report = _new_report("struct vox_voxelize_report")
         job.run(lib.vox_voxelize, options, report)
@@ -386,7 +393,7 @@ def measure(low: Any, scan: Any, *, memory: int | str | None = None, threads: in
         from_scan, from_mesh = (ffi.new("struct vox_distances *") for _ in range(2))
         job.run(lib.vox_temp_tris_create, mesh)
         try:
-            _sort(job, low, job.temporary("mesh.tris"), temporary=mesh[0])
+            _sort(job, low, job.temporary("mesh.tris"), scan_normals="flat", temporary=mesh[0])
             job.run(lib.vox_measure_mesh, job.strings(chunks), len(chunks), mesh[0], from_scan,
                     from_mesh)
         finally:
@@ -483,7 +490,7 @@ def _scan_paths(job: Job, scan: Any) -> list[str]:
     if not _is_memory(scan) and all(
             _kind(job, path) in (lib.FMT_KIND_TRIS, lib.FMT_KIND_NVDB) for path in _paths(scan)):
         return _paths(scan)
-    return _chunks(job, scan)
+    return _chunks(job, scan, "auto")
 
 
 def _low_path(job: Job, low: Any) -> str:

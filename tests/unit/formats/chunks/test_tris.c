@@ -236,13 +236,13 @@ FIXTURE_TEST(bytes_are_those_of_the_specification)
     assert_int_equal(tris_u64_at(b, 104), materials);
     assert_int_equal(tris_u64_at(b, 112), table);
     assert_int_equal(tris_u64_at(b, 120), size);
-    assert_int_equal(size, table + 72);
+    assert_int_equal(size, table + 104);
     assert_int_equal(u32_at(b, 128), 2);
     assert_int_equal(u32_at(b, 132), 0);
     assert_int_equal(tris_u64_at(b, 136), 0);
     assert_true(tris_u64_at(b, 144) == XXH3_64bits(b, 0));
     assert_true(tris_u64_at(b, 152) == XXH3_64bits(b + materials, table - materials));
-    assert_true(tris_u64_at(b, 160) == XXH3_64bits(b + table, 72));
+    assert_true(tris_u64_at(b, 160) == XXH3_64bits(b + table, 104));
     assert_true(tris_u64_at(b, 168) == XXH3_64bits(b, 168));
     for (uint32_t v = 0; v < 7; v++) {
         for (size_t axis = 0; axis < 3; axis++)
@@ -270,7 +270,64 @@ FIXTURE_TEST(bytes_are_those_of_the_specification)
     assert_int_equal(u32_at(b, table + 24), 5);
     assert_int_equal(u32_at(b, table + 28), 7);
     assert_true(tris_u64_at(b, table + 56) == XXH3_64bits(b + 176, chunk_bytes));
-    assert_int_equal(tris_u64_at(b, table + 64), 0);
+    for (size_t at = 64; at < 104; at += 8)
+        assert_int_equal(tris_u64_at(b, table + at), 0);
+    free(b);
+}
+
+FIXTURE_TEST(bytes_of_made_normals_are_those_of_the_specification)
+{
+    struct fmt_tris_normals_writer *writer;
+    size_t size;
+    uint8_t *b = tris_write_normals(f, &size);
+    const size_t chunks = tris_u64_at(b, 96), materials = tris_u64_at(b, 104),
+                 table = tris_u64_at(b, 112), first = tris_u64_at(b, table + 72);
+    assert_int_equal(u32_at(b, 140), BSQ_SCAN_NORMALS_ANGLE);
+    assert_int_equal(first, chunks + tris_u64_at(b, table + 8) + tris_u64_at(b, table + 104 + 8));
+    assert_int_equal(tris_u64_at(b, table + 104 + 72), first + 8 * 7);
+    assert_int_equal(tris_u64_at(b, table + 80), first + 8 * 7 + 8 * 9);
+    assert_int_equal(tris_u64_at(b, table + 104 + 80), first + 8 * 7 + 8 * 9);
+    assert_int_equal(u32_at(b, table + 96), 0);
+    assert_int_equal(u32_at(b, table + 104 + 96), 2);
+    assert_int_equal(materials, first + 8 * (7 + 9) + 2 * 16);
+    for (uint32_t v = 0; v < 7; v++)
+        assert_true(tris_u64_at(b, first + 8 * v) == tris_made_normal(0, v));
+    const size_t creases = first + 8 * (7 + 9);
+    assert_int_equal(u32_at(b, creases), 1);
+    assert_int_equal(u32_at(b, creases + 4), 0);
+    assert_true(tris_u64_at(b, creases + 8) == tris_made_normal(2, 1));
+    assert_int_equal(u32_at(b, creases + 16), 8);
+    /* Those of the second chunk's vertices and its creases follow each other here. */
+    assert_true(tris_u64_at(b, table + 88) == XXH3_64bits(b + first, 8 * 7));
+    assert_true(tris_u64_at(b, table + 104 + 88) == XXH3_64bits(b + first + 8 * 7, 8 * 9 + 2 * 16));
+    struct fmt_tris_file *file;
+    struct fmt_tris_normals normals;
+    uint64_t scratch[64];
+    assert_int_equal(fmt_tris_open(f->ctx, tris_path, &file), 0);
+    assert_int_equal(fmt_tris_get_header(file)->made_normals, BSQ_SCAN_NORMALS_ANGLE);
+    assert_int_equal(fmt_tris_normals_size_max(file), 8 * 9 + 2 * 16);
+    assert_int_equal(fmt_tris_verify(file, NULL), 0);
+    assert_int_equal(fmt_tris_load_normals(file, 1, scratch, &normals), 0);
+    assert_int_equal(normals.crease_count, 2);
+    assert_true(normals.vertices[3] == tris_made_normal(1, 3));
+    assert_int_equal(normals.creases[1].vertex, 8);
+    /* A section in a temporary file takes its place. */
+    assert_int_equal(fmt_tris_normals_begin_temp(file, NULL, &writer), 0);
+    for (uint64_t c = 0; c < 2; c++) {
+        const uint64_t zeros[9] = {0};
+        const uint32_t count = fmt_tris_chunks(file)[c].vertex_count;
+        assert_int_equal(fmt_tris_normals_put(writer, c, zeros), 0);
+        assert_int_equal(
+            fmt_tris_normals_finish(writer, c, NULL, 0, fmt_tris_normals_checksum(zeros, count, 0)),
+            0);
+    }
+    assert_int_equal(fmt_tris_normals_end(writer, BSQ_SCAN_NORMALS_MAX), 0);
+    fmt_tris_normals_free(writer);
+    assert_int_equal(fmt_tris_get_header(file)->made_normals, BSQ_SCAN_NORMALS_MAX);
+    assert_int_equal(fmt_tris_load_normals(file, 1, scratch, &normals), 0);
+    assert_int_equal(normals.crease_count, 0);
+    assert_true(normals.vertices[3] == 0);
+    fmt_tris_close(file);
     free(b);
 }
 

@@ -27,6 +27,8 @@ static int read_all(struct tris_fixture *f)
         status = fmt_tris_load(file, i, scratch, &chunk);
     }
     bsq_free(f->ctx, scratch);
+    if (status == 0 && fmt_tris_get_header(file)->made_normals != 0)
+        status = fmt_tris_verify(file, NULL);
     fmt_tris_close(file);
     return status;
 }
@@ -81,18 +83,22 @@ FIXTURE_TEST(a_file_that_changes_is_not_read)
 
 FIXTURE_TEST(every_flipped_bit_is_found)
 {
-    size_t size;
-    tris_fill(f->samples[0], 15, 5, 7, 4);
-    tris_fill(f->samples[1], 15, 3, 4, 5);
-    tris_write_samples(f, 15, 2);
-    uint8_t *bytes = test_read(tris_path, &size);
-    for (size_t bit = 0; bit < 8 * size; bit++) {
-        bytes[bit / 8] ^= (uint8_t)(1u << bit % 8);
-        test_bytes(tris_path, bytes, size);
-        assert_int_equal(read_all(f), BSQ_EDATA);
-        bytes[bit / 8] ^= (uint8_t)(1u << bit % 8);
+    for (int made = 0; made < 2; made++) {
+        size_t size;
+        tris_fill(f->samples[0], 15, 5, 7, 4);
+        tris_fill(f->samples[1], 15, 3, 4, 5);
+        bsq_forget_files(f->ctx);
+        if (!made)
+            tris_write_samples(f, 15, 2);
+        uint8_t *bytes = made ? tris_write_normals(f, &size) : test_read(tris_path, &size);
+        for (size_t bit = 0; bit < 8 * size; bit++) {
+            bytes[bit / 8] ^= (uint8_t)(1u << bit % 8);
+            test_bytes(tris_path, bytes, size);
+            assert_int_equal(read_all(f), BSQ_EDATA);
+            bytes[bit / 8] ^= (uint8_t)(1u << bit % 8);
+        }
+        free(bytes);
     }
-    free(bytes);
 }
 
 static void set_sum(uint8_t *bytes, size_t at, size_t begin, size_t end)
@@ -312,7 +318,8 @@ FIXTURE_TEST(values_out_of_range_are_found)
         {96, 184, "entry 0 of the table"},
         {128, 3, "too many materials"},
         {128, 0xfffffffe, "too many materials"},
-        {140, 1, "unknown attributes"},
+        {140, 1, "unknown normals"}, /* made ones beside the scan's own */
+        {140, 4, "unknown normals"},
         {176, 0x7fc00000, "outside of the bounds"},
         {176, 0x7f800000, "outside of the bounds"},
         {176, 0x42c80000, "outside of the bounds"},
@@ -329,8 +336,55 @@ FIXTURE_TEST(values_out_of_range_are_found)
      * sample that there is not. */
     const size_t table = tris_u64_at(bytes, 112);
     const struct damage entries[] = {{table + 24, UINT32_MAX, "entry 0 of the table"},
-                                     {table + 64, 1, "entry 0 of the table"}};
-    expect_damage(f, bytes, size, entries, 2);
+                                     {table + 64, 1, "entry 0 of the table"},
+                                     {table + 72, 1, "the places of normals"},
+                                     {table + 96, 1, "the places of normals"}};
+    expect_damage(f, bytes, size, entries, 4);
+    free(bytes);
+}
+
+/* Damaged normals are found, and so are those of a faulty writer, whose checksums are right. */
+FIXTURE_TEST(made_normals_are_checked)
+{
+    size_t size;
+    uint8_t *bytes = tris_write_normals(f, &size);
+    const size_t table = tris_u64_at(bytes, 112), second = table + 104,
+                 normals = tris_u64_at(bytes, second + 72),
+                 creases = tris_u64_at(bytes, second + 80), end = creases + 32;
+    const struct damage places[] = {{table + 72, (uint32_t)normals, "the places of normals"},
+                                    {second + 80, (uint32_t)normals, "the places of normals"},
+                                    {second + 96, 3, "does not cover the file"},
+                                    {second + 96, 10, "the places of normals"},
+                                    {second + 100, 1, "the places of normals"},
+                                    {140, 0, "the places of normals"}};
+    expect_damage(f, bytes, size, places, sizeof places / sizeof *places);
+    const struct {
+        size_t at;
+        uint32_t value;
+        const char *message;
+    } cases[] = {{creases, 9, "creases are not in order"},
+                 {creases, 8, "creases are not in order"},
+                 {creases + 4, 1, "creases are not in order"},
+                 {normals, 1u << 22, "a made normal is not valid"},
+                 {normals + 4, 0xfff00000, "a made normal is not valid"},
+                 {creases + 12, 0xfff00000, "a made normal is not valid"}};
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++)
+        for (int right = 0; right < 2; right++) {
+            uint8_t *changed = malloc(size);
+            memcpy(changed, bytes, size);
+            memcpy(changed + cases[i].at, &cases[i].value, 4);
+            if (right)
+                set_sum(changed, second + 88, normals, end);
+            set_sum(changed, 160, table, size);
+            set_sum(changed, 168, 0, 168);
+            test_bytes(tris_path, changed, size);
+            assert_int_equal(read_all(f), BSQ_EDATA);
+            const char *message =
+                right ? cases[i].message : "chunk 1: the checksum of its normals does not match";
+            if (!strstr(bsq_error(f->ctx), message))
+                fail_msg("\"%s\" is not in \"%s\"", message, bsq_error(f->ctx));
+            free(changed);
+        }
     free(bytes);
 }
 

@@ -62,7 +62,38 @@ int tris_teardown(void **state)
     return 0;
 }
 
-void tris_write_samples(struct tris_fixture *f, uint32_t attributes, uint32_t chunk_count)
+uint64_t tris_made_normal(uint64_t chunk, uint64_t vertex)
+{
+    const uint64_t coordinate = 2097152 + 1000 * vertex;
+    return coordinate | coordinate << 22 | (0x3f800 + chunk) << 44;
+}
+
+/* Writes the section of tris_write_normals(). */
+static void write_normals(struct fmt_tris_writer *writer)
+{
+    struct fmt_tris_normals_writer *section;
+    assert_int_equal(fmt_tris_normals_begin(writer, &section), 0);
+    for (uint64_t c = 0; c < 2; c++) {
+        const uint32_t vertices = 7 + 2 * (uint32_t)c, count = 2 * (uint32_t)c;
+        uint64_t normals[9 + 4];
+        const struct fmt_tris_crease creases[2] = {{1, 0, tris_made_normal(2, 1)},
+                                                   {8, 0, tris_made_normal(2, 8)}};
+        for (uint32_t v = 0; v < vertices; v++)
+            normals[v] = tris_made_normal(c, v);
+        memcpy(normals + vertices, creases, count * sizeof *creases);
+        assert_int_equal(fmt_tris_normals_put(section, c, normals), 0);
+        assert_int_equal(
+            fmt_tris_normals_finish(section, c, creases, count,
+                                    fmt_tris_normals_checksum(normals, vertices, count)),
+            0);
+    }
+    assert_int_equal(fmt_tris_normals_end(section, BSQ_SCAN_NORMALS_ANGLE), 0);
+    fmt_tris_normals_free(section);
+}
+
+/* Writes the first samples of a fixture. normals: with made ones. */
+static void write_samples(struct tris_fixture *f, uint32_t attributes, uint32_t chunk_count,
+                          bool normals)
 {
     struct fmt_tris_material materials[2] = {
         {.texture_path = (char *)"/a dir/wall.png", .diffuse = {0.25f, 0.5f, 0.75f}},
@@ -90,7 +121,22 @@ void tris_write_samples(struct tris_fixture *f, uint32_t attributes, uint32_t ch
         assert_int_equal(fmt_tris_append(writer, buffer, size, &info), 0);
         bsq_free(f->ctx, buffer);
     }
+    if (normals)
+        write_normals(writer);
     assert_int_equal(fmt_tris_commit(writer, NULL), 0);
+}
+
+void tris_write_samples(struct tris_fixture *f, uint32_t attributes, uint32_t chunk_count)
+{
+    write_samples(f, attributes, chunk_count, false);
+}
+
+uint8_t *tris_write_normals(struct tris_fixture *f, size_t *size)
+{
+    tris_fill(f->samples[0], 0, 5, 7, 4);
+    tris_fill(f->samples[1], 0, 8, 9, 5);
+    write_samples(f, 0, 2, true);
+    return test_read(tris_path, size);
 }
 
 uint64_t tris_u64_at(const uint8_t *bytes, size_t at)

@@ -43,6 +43,12 @@ uint8_t *tris_write_ids(struct tris_fixture *f, size_t *size);
  * frees. */
 uint8_t *tris_write_channels(struct tris_fixture *f, size_t *size);
 
+/* Writes a file of two chunks, of 7 and 9 vertices, with made normals by angle: tris_made_normal()
+ * of the chunk's number and the vertex. The second chunk has creases at vertices 1 and 8, for which
+ * 2 stands for the chunk. Returns its bytes, which the caller frees. */
+uint8_t *tris_write_normals(struct tris_fixture *f, size_t *size);
+uint64_t tris_made_normal(uint64_t chunk, uint64_t vertex);
+
 /* Returns a little-endian number. */
 uint64_t tris_u64_at(const uint8_t *bytes, size_t at);
 

@@ -139,6 +139,7 @@ static void write_triangles(const struct shape *shape)
         memcpy(scan.triangles[2 * q], (uint32_t[3]){a, a + 1, c + 1}, 12);
         memcpy(scan.triangles[2 * q + 1], (uint32_t[3]){a, c + 1, c}, 12);
     }
+    scan.smooth = true;
     triangle_scan_write(&scan, origin, 5000, path_of(shape, true));
     triangle_scan_free(&scan);
 }

@@ -95,9 +95,8 @@ void exact_trace(const struct exact_setup *setup, const struct bake_exact_ray *r
                  struct bake_exact_hit *hits)
 {
     struct bsq_ctx *ctx = test_context(setup->threads, setup->memory);
-    const char *path = exact_scan_path;
     struct bake_exact_options options = {
-        .paths = &path, .path_count = 1, .normals = setup->normals, .two_sided = setup->two_sided};
+        .path = exact_scan_path, .normals = setup->normals, .two_sided = setup->two_sided};
     struct bake_exact *exact;
     assert_int_equal(bake_exact_open(ctx, &options, &exact), 0);
     assert_int_equal(bake_exact_use(exact, &(struct bake_exact_attributes){.color = setup->color}),

@@ -193,8 +193,7 @@ TEST(test_damaged_chunk_is_reported)
     fputc(byte ^ 0x55, file);
     fclose(file);
     struct bsq_ctx *ctx = test_context(2, 0);
-    const char *path = exact_scan_path;
-    struct bake_exact_options options = {.paths = &path, .path_count = 1};
+    struct bake_exact_options options = {.path = exact_scan_path};
     struct bake_exact *exact;
     struct bake_exact_ray rays[400];
     struct bake_exact_hit hits[400];

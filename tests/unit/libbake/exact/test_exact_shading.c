@@ -30,6 +30,7 @@ static double (*smooth_normals(const struct triangle_scan *mesh))[3]
 TEST(test_smooth_normals_across_borders)
 {
     struct triangle_scan mesh = exact_torus(60, 40);
+    mesh.smooth = true;
     double(*expected)[3] = smooth_normals(&mesh);
     struct bake_exact_ray *rays = calloc(mesh.vertex_count, sizeof *rays);
     struct bake_exact_hit *hits = calloc(mesh.vertex_count, sizeof *hits);
@@ -58,35 +59,40 @@ TEST(test_smooth_normals_across_borders)
     triangle_scan_free(&mesh);
 }
 
-/* All weights, from chunks of every size: the same bits. */
-TEST(test_weights_of_smooth_normals)
+/* The file's normals are used unless facets are asked for; others are refused by name. */
+TEST(test_normals_are_those_of_the_file)
 {
     struct triangle_scan mesh = exact_torus(30, 20);
-    enum { WEIGHTS = BSQ_SCAN_NORMALS_FLAT };
-    struct bake_exact_hit first[WEIGHTS], hit;
+    struct bake_exact_hit hits[BSQ_SCAN_NORMALS_FLAT + 1];
     const double to[3] = {0, 0, 0};
     struct bake_exact_ray ray;
     for (int k = 0; k < 3; k++)
         ray.origin[k] = 1.1f * mesh.positions[0][k] - 0.3f * mesh.positions[31][k] +
                         0.2f * mesh.positions[1][k];
     exact_toward(ray.origin, to, ray.direction);
-    for (uint32_t chunk = 1200; chunk >= 5; chunk /= 6) {
-        exact_write_scan(&mesh, chunk);
-        for (unsigned w = 0; w < WEIGHTS; w++) {
-            const struct exact_setup setup = {.threads = 2,
-                                              .two_sided = true,
-                                              .t_min = -9,
-                                              .t_max = 9,
-                                              .normals = (enum bsq_scan_normals)w};
-            exact_trace(&setup, &ray, 1, &hit);
-            assert_true(hit.triangle != BAKE_EXACT_NONE);
-            if (chunk == 1200)
-                first[w] = hit;
-            assert_memory_equal(hit.normal, first[w].normal, sizeof hit.normal);
-            for (unsigned other = 0; other < w; other++)
-                assert_memory_not_equal(hit.normal, first[other].normal, sizeof hit.normal);
-        }
+    mesh.smooth = true;
+    exact_write_scan(&mesh, 100);
+    for (unsigned w = 0; w <= BSQ_SCAN_NORMALS_FLAT; w++) {
+        const struct exact_setup setup = {.threads = 2,
+                                          .two_sided = true,
+                                          .t_min = -9,
+                                          .t_max = 9,
+                                          .normals = (enum bsq_scan_normals)w};
+        if (w == BSQ_SCAN_NORMALS_ANGLE || w == BSQ_SCAN_NORMALS_MAX)
+            continue;
+        exact_trace(&setup, &ray, 1, &hits[w]);
+        assert_true(hits[w].triangle != BAKE_EXACT_NONE);
     }
+    assert_memory_equal(hits[BSQ_SCAN_NORMALS_AUTO].normal, hits[BSQ_SCAN_NORMALS_AREA].normal, 12);
+    assert_memory_not_equal(hits[BSQ_SCAN_NORMALS_AUTO].normal, hits[BSQ_SCAN_NORMALS_FLAT].normal,
+                            12);
+    struct bsq_ctx *ctx = test_context(1, 0);
+    struct bake_exact_options options = {.path = exact_scan_path,
+                                         .normals = BSQ_SCAN_NORMALS_ANGLE};
+    struct bake_exact *exact;
+    assert_int_equal(bake_exact_open(ctx, &options, &exact), BSQ_EUSAGE);
+    assert_non_null(strstr(bsq_error(ctx), "--scan-normals angle"));
+    bsq_ctx_destroy(ctx);
     triangle_scan_free(&mesh);
 }
 
@@ -101,6 +107,7 @@ static struct triangle_scan make_roof(float height)
     memcpy(mesh.positions, corners, sizeof corners);
     memcpy(mesh.triangles, (uint32_t[4][3]){{0, 1, 2}, {0, 2, 3}, {4, 5, 6}, {4, 6, 7}}, 48);
     mesh.attributes = FMT_TRIS_COLORS;
+    mesh.smooth = true;
     for (uint32_t v = 4; v < 8; v++)
         mesh.colors[v] = 0xffffff;
     return mesh;

@@ -25,7 +25,7 @@ static void write_scan(const char *path, unsigned n, unsigned flags)
     FILE *file = fopen(path, "wb");
     for (unsigned y = 0; y <= n; y++) {
         for (unsigned x = 0; x <= n; x++) {
-            fprintf(file, "v %.5f %.5f %.5f", x * 0.01, y * 0.01, (x * 7 + y * 5) % 13 * 0.003);
+            fprintf(file, "v %.5f %.5f %.5f", x * 0.01, y * 0.01, (x * 7 + y * 5) % 13 * 0.0002);
             fputs(flags & COLORS ? " 0.2 0.4 0.6\n" : "\n", file);
             if (flags & NORMALS)
                 fputs("vn 0.1 0.2 0.97\n", file);
@@ -112,7 +112,7 @@ FIXTURE_TEST(estimates_are_near_the_truth)
             struct fmt_mesh_estimate scan = estimate(f);
             bsq_ctx_destroy(f->ctx);
             f->ctx = NULL;
-            struct disk_space space = vox_disk_estimate(&scan, &limits);
+            struct disk_space space = vox_disk_estimate(&scan, &limits, true);
             assert_int_equal(scan.faces_come_last, !(kinds[k] & TILES));
             assert_int_equal(scan.has_colors, !!(kinds[k] & COLORS));
             assert_int_equal(sort(f, &limits, &report), 0);
@@ -136,7 +136,7 @@ FIXTURE_TEST(a_full_disk_is_found_before_the_work)
     vox_sort_limits_for(128 * MIB, 2, &limits);
     write_scan("scan.obj", 300, 0);
     struct fmt_mesh_estimate scan = estimate(f);
-    uint64_t bytes = vox_disk_estimate(&scan, &limits).output_bytes;
+    uint64_t bytes = vox_disk_estimate(&scan, &limits, true).output_bytes;
     free_bytes = bytes - 1;
     assert_int_equal(sort(f, &limits, &report), BSQ_EIO);
     snprintf(needed, sizeof needed, ": %llu bytes are needed", (unsigned long long)bytes);

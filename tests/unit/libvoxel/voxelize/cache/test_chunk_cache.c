@@ -1,4 +1,4 @@
-/* Tests which chunks a full cache evicts, and what it makes of chunks outside of a task. */
+/* Tests which chunks a full cache evicts. */
 #include "libvoxel/voxelize/cache/chunk_cache.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
 #include "tests/unit/test.h"
@@ -12,7 +12,6 @@ struct fixture {
     struct bsq_ctx *ctx;
     struct fmt_tris_file *file;
     struct vox_transform transform;
-    struct vox_smooth *smooth;
     struct vox_chunk_box boxes[CHUNKS];
     struct vox_chunks *chunks;
 };
@@ -30,8 +29,7 @@ static void put_square(struct scan_mesh *mesh, uint32_t number, float x)
             mesh->triangles[2 * number + t][k] = 4 * number + (t == 0 ? k : 3 - k);
 }
 
-/* Makes three chunks, each a square of two triangles; two of them touch. Triangles are ten voxels
- * wide, so making a chunk's normals needs the chunk that it touches. By their boxes, the right
+/* Makes three chunks, each a square of two triangles, for a cache of two. By their boxes, the right
  * chunk is needed last. */
 static int set_up(void **state)
 {
@@ -48,14 +46,12 @@ static int set_up(void **state)
     const struct fmt_tris_header *header = fmt_tris_get_header(f->file);
     assert_int_equal(header->chunk_count, CHUNKS);
     assert_int_equal(vox_transform_init(f->ctx, header, "scan.tris", 0, 0.1, &f->transform), 0);
-    assert_int_equal(
-        vox_smooth_create(f->ctx, f->file, BSQ_SCAN_NORMALS_SMOOTH, 1, 1 << 20, &f->smooth), 0);
     for (uint32_t i = 0; i < CHUNKS; i++)
         f->boxes[i].chunk = i;
     f->boxes[RIGHT].box = (struct vox_box){.lo = {1280, 0, 0}, .hi = {1290, 0, 0}};
-    assert_int_equal(vox_chunks_create(f->ctx, f->file, &f->transform, f->boxes, CHUNKS, f->smooth,
-                                       2, &f->chunks),
-                     0);
+    assert_int_equal(
+        vox_chunks_create(f->ctx, f->file, &f->transform, f->boxes, CHUNKS, true, 2, &f->chunks),
+        0);
     *state = f;
     return 0;
 }
@@ -64,7 +60,6 @@ static int tear_down(void **state)
 {
     struct fixture *f = *state;
     vox_chunks_destroy(f->chunks);
-    vox_smooth_destroy(f->smooth);
     fmt_tris_close(f->file);
     bsq_ctx_destroy(f->ctx);
     unlink("scan.tris");
@@ -103,23 +98,23 @@ static void damage(struct fixture *f, uint32_t chunk)
     close(fd);
 }
 
-/* The right chunk is lent to the left one before any region needs it. A former error took it for
- * the chunk needed first, so that chunks needed earlier were evicted. */
-FIXTURE_TEST(a_chunk_lent_before_its_turn_is_not_kept_instead_of_others)
+FIXTURE_TEST(the_chunk_that_is_needed_last_is_evicted)
 {
     assert_int_equal(use(f, LEFT, 128), 0);
-    assert_int_equal(use(f, APART, 0), 0);
+    assert_int_equal(use(f, RIGHT, 1000), 0);
     damage(f, LEFT);
+    assert_int_equal(use(f, APART, 0), 0); /* in place of the right one */
     assert_int_equal(use(f, LEFT, 0), 0);
     damage(f, RIGHT);
-    assert_int_equal(use(f, RIGHT, 0), BSQ_EDATA); /* this one was evicted */
+    assert_int_equal(use(f, RIGHT, 0), BSQ_EDATA);
 }
 
 FIXTURE_TEST(a_chunk_that_is_not_needed_any_more_goes_first)
 {
     assert_int_equal(use(f, APART, 0), 0);
     damage(f, APART);
-    assert_int_equal(use(f, LEFT, 1000), 0); /* leaves the right one in the cache too */
+    assert_int_equal(use(f, LEFT, 1000), 0);
+    assert_int_equal(use(f, RIGHT, 1000), 0);
     damage(f, LEFT);
     assert_int_equal(use(f, LEFT, 0), 0);
     assert_int_equal(use(f, APART, 0), BSQ_EDATA);

@@ -1,0 +1,210 @@
+/* normals.c - makes the vertex normals of a chunk file, in three steps.
+ *
+ * All chunks are gone through once (normals_chunk.c). Most vertices are inside their chunk, and get
+ * their normals there. The triangles of the others go to buckets by position, where they are summed
+ * (normals_open.c). At last the answers go to their chunks, with all creases. */
+#include "libvoxel/normals/normals_run.h"
+
+#include <string.h>
+
+#include "base/parallel.h"
+#include "base/sort_array.h"
+
+enum {
+    VERTICES_A_BUCKET = 65536,
+    MOST_BUCKETS = 1024,
+    MOST_ANSWER_BUCKETS = 4096,
+    PAGE_BYTES = 4096,
+    ANSWERS = 1024, /* that are read at a time */
+    SLOTS = 2       /* a thread */
+};
+
+int vox_normals_answer(struct normals_run *run, const struct normals_answer *answer)
+{
+    return bsq_spill_add(&run->answers, answer->chunk / run->answer_chunks, answer, sizeof *answer);
+}
+
+/* ---- the answers of a chunk ---- */
+
+/* A chunk whose normals are completed. */
+struct answer_slot {
+    uint64_t chunk;
+    struct normals_answer *answers; /* ANSWERS */
+    /* Vertices, then creases. */
+    uint64_t *normals;
+    uint64_t normals_capacity;
+    uint32_t crease_count;
+    uint64_t checksum;
+};
+
+struct answering {
+    struct normals_run *run;
+    uint64_t next;
+};
+
+static int answer_produce(void *arg, void *slot, uint64_t sequence)
+{
+    struct answering *answering = arg;
+    (void)sequence;
+    ((struct answer_slot *)slot)->chunk = answering->next;
+    return answering->next++ < answering->run->chunk_count;
+}
+
+static int compare_creases(const void *a, const void *b)
+{
+    const uint32_t x = ((const struct fmt_tris_crease *)a)->vertex,
+                   y = ((const struct fmt_tris_crease *)b)->vertex;
+    return (x > y) - (x < y);
+}
+
+/* Takes an answer that is for the slot's chunk. */
+static int take_answer(struct normals_run *run, struct answer_slot *s,
+                       const struct normals_answer *answer)
+{
+    const uint32_t vertex = answer->vertex & ~ANSWER_CREASE;
+    const uint64_t vertices = run->infos[s->chunk].vertex_count;
+    const struct fmt_tris_crease crease = {.vertex = vertex, .second = answer->second};
+    const uint64_t words = sizeof crease / sizeof *s->normals;
+    int status = 0;
+    s->normals[vertex] = answer->first;
+    if (!(answer->vertex & ANSWER_CREASE))
+        return 0;
+    status = bsq_grow(run->ctx, "creases", vertices + words * (s->crease_count + UINT64_C(1)),
+                      sizeof *s->normals, &s->normals, &s->normals_capacity);
+    if (status == 0)
+        memcpy(&s->normals[vertices + words * s->crease_count++], &crease, sizeof crease);
+    return status;
+}
+
+/* Takes all answers for the slot's chunk. */
+static int take_answers(struct normals_run *run, struct answer_slot *s, bool *changed)
+{
+    const uint32_t bucket = (uint32_t)(s->chunk / run->answer_chunks);
+    const uint64_t count = run->answers.list[bucket].bytes / sizeof *s->answers;
+    struct bsq_spill_cursor cursor = {0};
+    int status = 0;
+    for (uint64_t first = 0; first < count; first += ANSWERS) {
+        const uint64_t some = count - first < ANSWERS ? count - first : ANSWERS;
+        BSQ_TRY(bsq_spill_read(&run->answers, bucket, first * sizeof *s->answers,
+                               some * sizeof *s->answers, s->answers, &cursor));
+        for (uint64_t i = 0; i < some; i++)
+            if (s->answers[i].chunk == s->chunk) {
+                BSQ_TRY(take_answer(run, s, &s->answers[i]));
+                *changed = true;
+            }
+    }
+done:
+    return status;
+}
+
+static int answer_work(void *arg, void *slot, uint64_t sequence, unsigned worker)
+{
+    struct normals_run *run = ((struct answering *)arg)->run;
+    struct answer_slot *s = slot;
+    const uint32_t vertices = run->infos[s->chunk].vertex_count;
+    bool changed = false;
+    int status;
+    (void)sequence;
+    (void)worker;
+    s->crease_count = 0;
+    BSQ_TRY(bsq_grow(run->ctx, "normals", vertices, sizeof *s->normals, &s->normals,
+                     &s->normals_capacity));
+    BSQ_TRY(fmt_tris_normals_get(run->writer, s->chunk, s->normals));
+    BSQ_TRY(take_answers(run, s, &changed));
+    bsq_sort(s->normals + vertices, s->crease_count, sizeof(struct fmt_tris_crease),
+             compare_creases);
+    s->checksum = fmt_tris_normals_checksum(s->normals, vertices, s->crease_count);
+    if (changed)
+        status = fmt_tris_normals_put(run->writer, s->chunk, s->normals);
+done:
+    return status;
+}
+
+static int answer_emit(void *arg, void *slot, uint64_t sequence)
+{
+    const struct normals_run *run = ((const struct answering *)arg)->run;
+    const struct answer_slot *s = slot;
+    const void *creases = s->normals + run->infos[s->chunk].vertex_count;
+    (void)sequence;
+    bsq_progress_add(run->ctx, 1);
+    return fmt_tris_normals_finish(run->writer, s->chunk, creases, s->crease_count, s->checksum);
+}
+
+/* Completes the normals of all chunks. */
+static int complete_chunks(struct normals_run *run)
+{
+    struct answering answering = {.run = run};
+    struct answer_slot *slots = NULL;
+    const uint64_t count = (uint64_t)SLOTS * bsq_threads(run->ctx);
+    int status;
+    BSQ_TRY(bsq_calloc(run->ctx, "normals", count, sizeof *slots, &slots));
+    for (uint64_t i = 0; i < count; i++)
+        BSQ_TRY(bsq_alloc(run->ctx, "normals", ANSWERS, sizeof *slots->answers, &slots[i].answers));
+    const struct bsq_pipeline pipeline = {.produce = answer_produce,
+                                          .work = answer_work,
+                                          .emit = answer_emit,
+                                          .arg = &answering,
+                                          .slots = slots,
+                                          .slot_size = sizeof *slots,
+                                          .slot_count = (unsigned)count};
+    status = bsq_pipeline_run(run->ctx, &pipeline);
+done:
+    for (uint64_t i = 0; slots && i < count; i++) {
+        bsq_free(run->ctx, slots[i].answers);
+        bsq_free(run->ctx, slots[i].normals);
+    }
+    bsq_free(run->ctx, slots);
+    return status;
+}
+
+/* ---- the whole ---- */
+
+/* Makes the buckets: their number depends on the scan only. */
+static int normals_make_buckets(struct normals_run *run, const char *beside)
+{
+    const uint64_t pages = bsq_memory_share(run->ctx, "normals", 4);
+    uint64_t vertices = 0;
+    for (uint64_t i = 0; i < run->chunk_count; i++) {
+        const struct fmt_tris_chunk_info *info = &run->infos[i];
+        vertices += info->vertex_count;
+        run->vertices = info->vertex_count > run->vertices ? info->vertex_count : run->vertices;
+        run->triangles =
+            info->triangle_count > run->triangles ? info->triangle_count : run->triangles;
+    }
+    const uint64_t count = vertices / VERTICES_A_BUCKET + 1;
+    const uint32_t corners = count < MOST_BUCKETS ? (uint32_t)count : MOST_BUCKETS;
+    run->answer_chunks =
+        (uint32_t)((run->chunk_count + MOST_ANSWER_BUCKETS - 1) / MOST_ANSWER_BUCKETS);
+    const uint32_t answers =
+        (uint32_t)((run->chunk_count + run->answer_chunks - 1) / run->answer_chunks);
+    int status = bsq_spill_init(&run->corners, run->ctx, "corners between chunks", beside, corners,
+                                corners, PAGE_BYTES, pages / 4 * 3);
+    return status < 0 ? status
+                      : bsq_spill_init(&run->answers, run->ctx, "normals", beside, answers, answers,
+                                       PAGE_BYTES, pages / 4);
+}
+
+int vox_make_normals(struct bsq_ctx *ctx, struct fmt_tris_normals_writer *writer,
+                     enum bsq_scan_normals weights, const char *beside)
+{
+    struct normals_run run = {.ctx = ctx,
+                              .writer = writer,
+                              .file = fmt_tris_normals_file(writer),
+                              .weights = weights,
+                              .lock = PTHREAD_MUTEX_INITIALIZER};
+    int status;
+    run.infos = fmt_tris_chunks(run.file);
+    run.chunk_count = fmt_tris_get_header(run.file)->chunk_count;
+    if (run.chunk_count == 0)
+        return 0;
+    bsq_progress_begin(ctx, "normals", "chunks", 2 * run.chunk_count);
+    BSQ_TRY(normals_make_buckets(&run, beside));
+    BSQ_TRY(vox_normals_visit_chunks(&run));
+    BSQ_TRY(vox_normals_join_corners(&run));
+    status = complete_chunks(&run);
+done:
+    bsq_spill_free(&run.corners);
+    bsq_spill_free(&run.answers);
+    bsq_progress_end(ctx);
+    return status;
+}

@@ -1,0 +1,249 @@
+/* normals_open.c - sums the one-rings of vertices whose triangles are in several chunks.
+ *
+ * A bucket has all corners at its positions, in the order of the file. It is read up to four times:
+ * for the sums, twice more if there may be creases, and for the vertices that want to know. If
+ * there are more positions than fit into memory, the bucket is done in halves, by their hashes. */
+#include "libvoxel/normals/normals_run.h"
+
+#include <string.h>
+
+#include "base/geometry/positions.h"
+#include "base/parallel.h"
+
+enum {
+    RECORDS = 256 /* that are read at a time */,
+    LEAST_POSITIONS = 1024,
+    MOST_POSITIONS = 65536
+};
+
+/* Memory of a worker. */
+struct open_worker {
+    struct normals_run *run;
+    uint32_t most; /* positions */
+    uint32_t count;
+    struct bsq_positions table;
+    float (*positions)[3];
+    struct vox_rings rings;
+    uint32_t *all;              /* numbers of one-rings: 1, 2, 3 ... */
+    uint64_t *firsts, *seconds; /* the normals of one-rings, and of creases; from 1 on */
+    /* Of the records that were read: */
+    struct open_corner *records;
+    float (*corners)[3];
+    uint32_t (*triangles)[3], *ring_of;
+};
+
+/* The part of a bucket whose positions have a hash with these bits. */
+struct open_part {
+    uint32_t bucket, mask, bits;
+};
+
+/* Returns other bits of a hash than those that choose a bucket, or a place in a table. */
+static uint32_t part_bits(uint32_t hash)
+{
+    return (uint32_t)(hash * UINT64_C(0x9e3779b97f4a7c15) >> 32);
+}
+
+/* ---- memory ---- */
+
+/* Places the arrays of a worker in memory, and returns their bytes. memory: NULL to only count. */
+static uint64_t worker_lay_out(uint8_t *memory, struct open_worker *w)
+{
+    const uint64_t rings = w->most + UINT64_C(1);
+    uint64_t at = 0;
+    w->rings.sums = normals_place(memory, &at, rings * VOX_RING_ROWS, sizeof *w->rings.sums);
+    w->rings.seconds = normals_place(memory, &at, rings * VOX_RING_ROWS, sizeof *w->rings.seconds);
+    w->rings.creases = normals_place(memory, &at, rings, sizeof *w->rings.creases);
+    w->rings.crease_of = normals_place(memory, &at, rings, sizeof *w->rings.crease_of);
+    w->table.slots =
+        normals_place(memory, &at, bsq_positions_slots(w->most), sizeof *w->table.slots);
+    w->positions = normals_place(memory, &at, w->most, sizeof *w->positions);
+    w->all = normals_place(memory, &at, rings, sizeof *w->all);
+    w->firsts = normals_place(memory, &at, rings, sizeof *w->firsts);
+    w->seconds = normals_place(memory, &at, rings, sizeof *w->seconds);
+    w->records = normals_place(memory, &at, RECORDS, sizeof *w->records);
+    w->corners = normals_place(memory, &at, 3 * RECORDS + 1, sizeof *w->corners);
+    w->triangles = normals_place(memory, &at, RECORDS, sizeof *w->triangles);
+    w->ring_of = normals_place(memory, &at, 3 * RECORDS, sizeof *w->ring_of);
+    return at;
+}
+
+/* ---- a part of a bucket ---- */
+
+/* Finds the one-ring of a position, or makes it. Returns false if there is no space for it. */
+static bool find_ring(struct open_worker *w, const float position[3], uint32_t hash, uint32_t *ring)
+{
+    uint32_t *slot = bsq_positions_find_hashed(&w->table, position, hash);
+    if (*slot == 0) {
+        if (w->count == w->most)
+            return false;
+        memcpy(w->positions[w->count], position, sizeof *w->positions);
+        *slot = ++w->count;
+        memset(w->rings.sums[*slot * (uint64_t)VOX_RING_ROWS], 0,
+               VOX_RING_ROWS * sizeof *w->rings.sums);
+    }
+    *ring = *slot;
+    return true;
+}
+
+/* Reads the next records of the bucket, from `first` on, and finds the one-rings of their corners.
+ * *fits: false if there is no space for one. */
+static int read_records(struct open_worker *w, const struct open_part *part, uint64_t first,
+                        uint32_t count, struct bsq_spill_cursor *cursor, bool *fits)
+{
+    const int status = bsq_spill_read(&w->run->corners, part->bucket, first * sizeof *w->records,
+                                      count * sizeof *w->records, w->records, cursor);
+    memset(w->ring_of, 0, 3 * RECORDS * sizeof *w->ring_of);
+    for (uint32_t i = 0; i < count && status == 0 && *fits; i++) {
+        const struct open_corner *record = &w->records[i];
+        const uint32_t corner = record->vertex >> OPEN_CORNER_SHIFT & 3;
+        const uint32_t hash = bsq_position_hash(record->triangle[corner]);
+        memcpy(w->corners[3 * i], record->triangle, sizeof record->triangle);
+        if ((part_bits(hash) & part->mask) == part->bits)
+            *fits = find_ring(w, record->triangle[corner], hash, &w->ring_of[3 * i + corner]);
+    }
+    return status;
+}
+
+/* Adds the answers that the records ask for. */
+static int answer_records(struct open_worker *w, uint32_t count)
+{
+    int status = 0;
+    pthread_mutex_lock(&w->run->lock);
+    for (uint32_t i = 0; i < count && status == 0; i++) {
+        const struct open_corner *record = &w->records[i];
+        const uint32_t ring = w->ring_of[3 * i + (record->vertex >> OPEN_CORNER_SHIFT & 3)];
+        if (ring == 0 || !(record->vertex & OPEN_ASKS))
+            continue;
+        const uint32_t crease = w->rings.crease_of[ring];
+        const struct normals_answer answer = {
+            record->chunk, (record->vertex & OPEN_VERTEX_MASK) | (crease ? ANSWER_CREASE : 0u),
+            w->firsts[ring - 1], crease ? w->seconds[crease - 1] : 0};
+        status = vox_normals_answer(w->run, &answer);
+    }
+    pthread_mutex_unlock(&w->run->lock);
+    return status;
+}
+
+/* Goes through the records of a part: does a step of its sums, or answers. */
+static int run_records(struct open_worker *w, const struct open_part *part, bool answers,
+                       enum vox_ring_step step, bool *fits)
+{
+    vox_rings_add_fn *const add = BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_add);
+    const uint64_t records = w->run->corners.list[part->bucket].bytes / sizeof *w->records;
+    struct bsq_spill_cursor cursor = {0};
+    int status = 0;
+    for (uint64_t first = 0; first < records && *fits && status == 0; first += RECORDS) {
+        const uint32_t count =
+            records - first < RECORDS ? (uint32_t)(records - first) : (uint32_t)RECORDS;
+        BSQ_TRY(bsq_check(w->run->ctx));
+        BSQ_TRY(read_records(w, part, first, count, &cursor, fits));
+        if (answers)
+            status = answer_records(w, count);
+        else if (*fits)
+            add(&w->rings, step, w->run->weights, 0, count);
+    }
+done:
+    return status;
+}
+
+/* Makes the normals of a part. *fits: false if it has too many positions; then nothing was
+ * answered. */
+static int join_part(struct open_worker *w, const struct open_part *part, bool *fits)
+{
+    uint32_t creases;
+    vox_rings_pack_fn *const pack = BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_pack);
+    int status = 0;
+    *fits = true;
+    w->count = 0;
+    memset(w->table.slots, 0, (w->table.mask + UINT64_C(1)) * sizeof *w->table.slots);
+    BSQ_TRY(run_records(w, part, false, VOX_RING_SUM, fits));
+    if (!*fits)
+        return 0;
+    const uint64_t rings = w->count + UINT64_C(1);
+    w->rings.crease_of[0] = 0;
+    vox_rings_number_creases(&w->rings, 1, rings, UINT32_MAX, &creases);
+    if (creases > 0) {
+        BSQ_TRY(run_records(w, part, false, VOX_RING_FARTHEST, fits));
+        if (vox_rings_divide(&w->rings, 1, rings))
+            BSQ_TRY(run_records(w, part, false, VOX_RING_SIDES, fits));
+        pack((const double(*)[4])w->rings.seconds, w->all, creases, w->seconds);
+    }
+    pack((const double(*)[4])w->rings.sums, w->all, w->count, w->firsts);
+    status = run_records(w, part, true, VOX_RING_SUM, fits);
+done:
+    return status;
+}
+
+/* Does a bucket, in as many parts as are needed: halves, and halves of these. */
+static int join_bucket(struct open_worker *w, uint32_t bucket)
+{
+    struct open_part part = {.bucket = bucket};
+    int status = 0;
+    for (bool more = true; more && status == 0;) {
+        bool fits;
+        status = join_part(w, &part, &fits);
+        if (status == 0 && !fits && part.mask == UINT32_MAX)
+            return bsq_fail(w->run->ctx, BSQ_ENOMEM, "too little memory for normals");
+        if (!fits) {
+            part.mask = 2 * part.mask + 1;
+            continue;
+        }
+        /* The next part: the bits after these, with the highest bit that differs as the last. */
+        while (part.mask != 0 && part.bits & (part.mask / 2 + 1)) {
+            part.bits &= part.mask / 2;
+            part.mask /= 2;
+        }
+        more = part.mask != 0;
+        part.bits |= more ? part.mask / 2 + 1 : 0;
+    }
+    return status;
+}
+
+/* ---- all buckets ---- */
+
+static int join_index(void *arg, uint64_t index, unsigned worker)
+{
+    struct open_worker *workers = arg;
+    return join_bucket(&workers[worker], (uint32_t)index);
+}
+
+static int make_worker(struct normals_run *run, uint32_t most, struct open_worker *w)
+{
+    uint8_t *memory;
+    *w = (struct open_worker){.run = run, .most = most};
+    int status = bsq_alloc(run->ctx, "normals", worker_lay_out(NULL, w), 1, &memory);
+    if (status < 0)
+        return status;
+    worker_lay_out(memory, w);
+    w->table.mask = bsq_positions_slots(most) - 1;
+    w->table.positions = (const float(*)[3])w->positions;
+    w->rings.positions = (const float(*)[3])w->corners;
+    w->rings.triangles = (const uint32_t(*)[3])w->triangles;
+    w->rings.ring_of = w->ring_of;
+    memset(w->rings.sums, 0, VOX_RING_ROWS * sizeof *w->rings.sums);
+    for (uint32_t i = 0; i < most; i++)
+        w->all[i] = i + 1;
+    for (uint32_t i = 0; i < 3 * RECORDS; i++)
+        w->triangles[i / 3][i % 3] = i;
+    return 0;
+}
+
+int vox_normals_join_corners(struct normals_run *run)
+{
+    const unsigned threads = bsq_threads(run->ctx);
+    const uint64_t share = bsq_memory_share(run->ctx, "borders of chunks", 2) / threads;
+    struct open_worker *workers = NULL;
+    struct open_worker one = {.most = LEAST_POSITIONS};
+    uint64_t most = share / worker_lay_out(NULL, &one) * LEAST_POSITIONS;
+    most = most < LEAST_POSITIONS ? LEAST_POSITIONS : most;
+    most = most > MOST_POSITIONS ? MOST_POSITIONS : most;
+    int status = bsq_calloc(run->ctx, "normals", threads, sizeof *workers, &workers);
+    for (unsigned i = 0; i < threads && status == 0; i++)
+        status = make_worker(run, (uint32_t)most, &workers[i]);
+    if (status == 0)
+        status = bsq_parallel_for(run->ctx, run->corners.stream_count, join_index, workers);
+    for (unsigned i = 0; workers && i < threads; i++)
+        bsq_free(run->ctx, workers[i].rings.sums);
+    bsq_free(run->ctx, workers);
+    return status;
+}

@@ -1,0 +1,67 @@
+/* normals_run.h - one call of vox_make_normals(), for the sources of this folder. */
+#ifndef VOX_NORMALS_NORMALS_RUN_H
+#define VOX_NORMALS_NORMALS_RUN_H
+
+#include <pthread.h>
+
+#include "base/spill.h"
+#include "libvoxel/normals/normals.h"
+#include "libvoxel/normals/rings.h"
+
+/* A corner at a vertex whose triangles are not all in its chunk, with its triangle. The records of
+ * a position are in one bucket, in the order of the file. */
+struct open_corner {
+    float triangle[3][3];
+    uint32_t chunk;
+    uint32_t vertex; /* of the chunk; and the bits below */
+};
+enum { OPEN_CORNER_SHIFT = 28, OPEN_VERTEX_MASK = (1 << OPEN_CORNER_SHIFT) - 1 };
+#define OPEN_ASKS                                                                                  \
+    (1u << 30) /* the first record of the vertex; bits 28 and 29: which corner it is */
+
+/* The normal of a vertex that was found after its chunk was gone through; or a crease. */
+struct normals_answer {
+    uint32_t chunk, vertex; /* ANSWER_CREASE is set if there is a second side */
+    uint64_t first, second;
+};
+#define ANSWER_CREASE (1u << 31)
+
+struct normals_run {
+    struct bsq_ctx *ctx;
+    struct fmt_tris_normals_writer *writer;
+    const struct fmt_tris_file *file;
+    const struct fmt_tris_chunk_info *infos;
+    enum bsq_scan_normals weights;
+    uint64_t chunk_count;
+    uint32_t vertices, triangles; /* of the largest chunks */
+    struct bsq_spill corners;     /* of struct open_corner, by position */
+    struct bsq_spill answers;     /* of struct normals_answer, by chunk */
+    uint32_t answer_chunks;       /* chunks of a bucket of answers */
+    pthread_mutex_t lock;         /* of the answers */
+};
+
+/* normals_chunk.c: goes through all chunks: writes the normals of their closed vertices, and fills
+ * both buckets. */
+int vox_normals_visit_chunks(struct normals_run *run);
+/* normals_open.c: sums what open corners say, and adds the answers. */
+int vox_normals_join_corners(struct normals_run *run);
+
+/* Adds answers of one chunk. */
+int vox_normals_answer(struct normals_run *run, const struct normals_answer *answer);
+
+/* Returns the next `count` items of memory, and moves *at behind them. memory: NULL to only count.
+ */
+static inline void *normals_place(uint8_t *memory, uint64_t *at, uint64_t count, uint64_t size)
+{
+    void *to = memory ? memory + *at : NULL;
+    *at += bsq_align_up(count * size, BSQ_ALIGNMENT);
+    return to;
+}
+
+/* Returns the bucket of a position among `count`. */
+static inline uint32_t normals_bucket(uint32_t hash, uint32_t count)
+{
+    return (uint32_t)((uint64_t)hash * count >> 32);
+}
+
+#endif
