@@ -288,12 +288,14 @@ struct vox_simplify_options {
 
 /** What vox_simplify() did. */
 struct vox_simplify_report {
-    size_t size;             /**< Of the structure, see bsq_clear_report(). */
-    uint64_t triangles;      /**< Triangles of the scan. */
-    double diagonal;         /**< Diagonal of the scan's bounding box. */
-    uint64_t dropped_pieces; /**< Pieces below min_component. */
-    /** Their triangles, after the reduction of chunks. */
-    uint64_t dropped_triangles;
+    size_t size;        /**< Of the structure, see bsq_clear_report(). */
+    uint64_t triangles; /**< Triangles of the scan. */
+    double diagonal;    /**< Diagonal of the scan's bounding box. */
+    /** Pieces below min_component, and those whose loss changed the surface less than a collapse of
+     * other edges would have. */
+    uint64_t dropped_pieces;
+    uint64_t dropped_triangles; /**< Their triangles when they went. */
+    uint64_t cut_handles;       /**< Handles, tunnels and necks that were cut and closed. */
     struct vox_simplified levels[VOX_LEVELS_MAX]; /**< The meshes. */
     uint32_t level_count;                         /**< Number of meshes. */
     uint64_t temp_bytes;                          /**< Bytes that it wrote to temporary files. */

@@ -177,12 +177,10 @@ static void warn_of_targets(struct cli *cli, const struct arguments *arguments,
     for (uint32_t i = 0; i < report->level_count; i++) {
         const struct vox_simplified *level = &report->levels[i];
         if (level->target > 0 && level->triangles > level->target)
-            bsq_warn(
-                cli->ctx,
-                "%s: %" PRIu64 " triangles instead of %" PRIu64
-                ": each edge that is left would fold the surface, close a hole or join pieces; "
-                "--min-component drops small pieces",
-                arguments->paths[i], level->triangles, level->target);
+            bsq_warn(cli->ctx,
+                     "%s: %" PRIu64 " triangles instead of %" PRIu64
+                     ": each edge that is left would close a hole or join pieces",
+                     arguments->paths[i], level->triangles, level->target);
     }
 }
 
@@ -193,8 +191,11 @@ static void simplify_tool_print_report(const struct cli *cli, const struct argum
     cli_print("scan: %s, diagonal %g\n",
               cli_counted_text(report->triangles, "triangle", "triangles", text), report->diagonal);
     if (report->dropped_pieces > 0)
-        cli_print("left out: %s below --min-component\n",
-                  cli_counted_text(report->dropped_pieces, "piece", "pieces", text));
+        cli_print("left out: %s\n",
+                  cli_counted_text(report->dropped_pieces, "small piece", "small pieces", text));
+    if (report->cut_handles > 0)
+        cli_print("cut: %s\n", cli_counted_text(report->cut_handles, "narrow handle or neck",
+                                                "narrow handles or necks", text));
     for (uint32_t i = 0; i < report->level_count; i++) {
         const struct vox_simplified *level = &report->levels[i];
         cli_print("%s: %s, %s\n", arguments->paths[i],
@@ -222,12 +223,12 @@ static int simplify_tool_print_json(struct cli *cli, const struct arguments *arg
                                   cli_distances_json(&level->from_mesh)));
     }
     return cli_print_json(
-        cli,
-        json_pack("{s:I, s:f, s:I, s:I, s:I, s:o, s:f, s:f, s:f}", CLI_COUNT(report, triangles),
-                  CLI_VALUE(report, diagonal), CLI_COUNT(report, dropped_pieces),
-                  CLI_COUNT(report, dropped_triangles), CLI_COUNT(report, temp_bytes), "meshes",
-                  levels, CLI_VALUE(report, seconds_reduce), CLI_VALUE(report, seconds_collapse),
-                  CLI_VALUE(report, seconds_measure)));
+        cli, json_pack("{s:I, s:f, s:I, s:I, s:I, s:I, s:o, s:f, s:f, s:f}",
+                       CLI_COUNT(report, triangles), CLI_VALUE(report, diagonal),
+                       CLI_COUNT(report, dropped_pieces), CLI_COUNT(report, dropped_triangles),
+                       CLI_COUNT(report, cut_handles), CLI_COUNT(report, temp_bytes), "meshes",
+                       levels, CLI_VALUE(report, seconds_reduce),
+                       CLI_VALUE(report, seconds_collapse), CLI_VALUE(report, seconds_measure)));
 }
 
 static int simplify_tool_run(struct cli *cli, struct arguments *arguments, const char **inputs,

@@ -11,19 +11,27 @@
 
 #include "base/geometry/vec.h"
 #include "libvoxel/simplify/closest.h"
-#include "libvoxel/simplify/rings.h"
+#include "libvoxel/simplify/topology.h"
 
 /* Weight of the distance from an open border, beside that from the triangles. */
 static const double border_weight = 10.0;
 /* Pull towards the middle of an edge, in parts of the quadric's trace: it decides where the
  * quadric does not, along flat or straight parts. */
-static const double pull = 1e-6;
+static const double pull = 1e-10;
 /* Share of the squared length of the edge, in the quadric's trace, that is added to a cost. In flat
  * parts, where all costs are 0, short edges go first. */
-static const double length_share = 1e-7;
+static const double length_share = 1e-13;
 /* Weight of the sixth power of a drift, beside squared volumes: it lets most collapses go in the
  * order of their volumes, and keeps back those that would go far, such as tips of thin parts. */
-static const double drift_weight = 50;
+static const double drift_weight = 100;
+/* Weight of the cost of the drift that dropping a piece leads to: the surface is nearer than its
+ * vertices are. */
+static const double piece_weight = 0.1;
+/* Weight of the squared volume between a cut and the surface, so that handles go after noise. */
+static const double cut_weight = 30;
+/* Weight of the sixth power of the longest edge where the surface would fold over: such changes
+ * come last. */
+static const double fold_weight = 1e6;
 /* A candidate whose cost has grown by more than this factor goes back into the heap. */
 static const double grown = 1.000001;
 
@@ -49,9 +57,11 @@ struct collapse {
     double unit; /* factor of costs: a power of two that lets floats hold them at any scale */
     struct around *around; /* of vertices */
     uint32_t *stamps;      /* of vertices: grow with each change */
-    float *drifts;         /* of vertices: the way that the surface there has gone, added up */
+    float *drifts;         /* of vertices: how far the surface there has gone, see add_drift() */
     struct candidate *heap;
     uint64_t heap_count, heap_capacity;
+    struct vox_places places; /* for pieces */
+    struct vox_removed *removed;
 };
 
 /* What the collapse of an edge would do. */
@@ -160,6 +170,26 @@ static void place(const struct error *q, const double normal[3], double volume, 
         x[k] += y[k] * missing / along;
 }
 
+static double error_of_place(const struct error *q, const double x[3])
+{
+    double ax[3];
+    multiply(q->a, x, ax);
+    const double error = bsq_dotd(x, ax) + 2 * bsq_dotd(q->b, x) + q->c;
+    return error > 0 ? error : 0;
+}
+
+/* Finds the end of an edge, or its middle, where the error is least. w: an end from the middle. */
+static void place_on_edge(const struct error *q, const double w[3], double x[3])
+{
+    double least = INFINITY;
+    for (int i = -1; i <= 1; i++) {
+        const double at[3] = {i * w[0], i * w[1], i * w[2]}, error = error_of_place(q, at);
+        if (error < least)
+            memcpy(x, at, sizeof at);
+        least = fmin(least, error);
+    }
+}
+
 /* Sums up what the triangles around an edge say, relative to its middle. w: u from the middle.
  * Triangles with both vertices are in both sums; their planes go through the middle. */
 static void sum_edge(struct collapse *c, uint32_t u, uint32_t v, const double w[3], struct error *q,
@@ -193,14 +223,15 @@ static void sum_edge(struct collapse *c, uint32_t u, uint32_t v, const double w[
     }
 }
 
-/* Computes what the collapse of an edge does. Returns false if it is not allowed: both vertices are
- * locked, or the place is farther from the middle than the edge is long, or not finite. */
+/* Computes what the collapse of an edge does. Returns false if it is not allowed, as both vertices
+ * are locked, or not finite. A place that is farther from the middle than the edge is long would be
+ * a spike; then it is on the edge. */
 static bool evaluate(struct collapse *c, uint32_t u, uint32_t v, struct result *out)
 {
     const float(*positions)[3] = (const float(*)[3])c->rings.mesh->positions;
     const uint8_t *flags = c->rings.flags;
     struct error q;
-    double middle[3], w[3], x[3], normal[3], volume, square = 0, ax[3];
+    double middle[3], w[3], x[3] = {0, 0, 0}, normal[3], volume, square = 0;
     if (flags[u] & flags[v] & VOX_LOCKED)
         return false;
     for (int k = 0; k < 3; k++) {
@@ -219,16 +250,14 @@ static bool evaluate(struct collapse *c, uint32_t u, uint32_t v, struct result *
         memcpy(out->position, positions[from], sizeof out->position);
     } else {
         place(&q, normal, volume, x);
+        if (!(bsq_dotd(x, x) <= square))
+            place_on_edge(&q, w, x);
         for (int k = 0; k < 3; k++)
             out->position[k] = (float)(middle[k] + x[k]);
     }
     for (int k = 0; k < 3; k++)
         x[k] = (double)out->position[k] - middle[k];
-    if (bsq_dotd(x, x) > square) /* a spike */
-        return false;
-    multiply(q.a, x, ax);
-    out->cost = bsq_dotd(x, ax) + 2 * bsq_dotd(q.b, x) + q.c;
-    out->cost = out->cost > 0 ? out->cost : 0;
+    out->cost = error_of_place(&q, x);
     out->cost += length_share * (q.a[0] + q.a[3] + q.a[5]) * square;
     out->cost *= c->unit;
     return isfinite(out->cost) && isfinite(out->position[0] + out->position[1] + out->position[2]);
@@ -442,6 +471,12 @@ static double find_square(struct vox_rings *r, uint32_t u, uint32_t v, const flo
     return most;
 }
 
+/* Returns a drift after a further step. Steps of noise go to and fro, so their squares add up. */
+static float add_drift(float before, double square)
+{
+    return (float)sqrt((double)before * (double)before + square);
+}
+
 /* Returns the drift that the collapse of (u, v) to p leads to: the larger one of both vertices',
  * and the distances of these from the triangles after it and of p from those before. */
 static float find_drift(struct collapse *c, uint32_t u, uint32_t v, const float p[3])
@@ -461,38 +496,165 @@ static float find_drift(struct collapse *c, uint32_t u, uint32_t v, const float 
     from_v = find_square(r, v, u, p, at_v, from_v);
     back = find_square(r, u, VOX_NONE, at_u, p, back);
     back = find_square(r, v, u, at_v, p, back);
-    return fmaxf(c->drifts[u], c->drifts[v]) + (float)sqrt(fmax(back, fmax(from_u, from_v)));
+    return add_drift(fmaxf(c->drifts[u], c->drifts[v]), fmax(back, fmax(from_u, from_v)));
 }
 
-/* Takes the cheapest candidate, and collapses it if that is allowed. */
-static void collapse_next(struct collapse *c)
+static double drift_cost(const struct collapse *c, float drift)
+{
+    const double square = (double)drift * (double)drift;
+    return c->unit * drift_weight * square * square * square;
+}
+
+/* Returns the squared length of the way between two vertices. */
+static double edge_square(const struct collapse *c, uint32_t u, uint32_t v)
+{
+    const float(*positions)[3] = (const float(*)[3])c->rings.mesh->positions;
+    double square = 0;
+    for (int k = 0; k < 3; k++) {
+        const double way = (double)positions[u][k] - (double)positions[v][k];
+        square += way * way;
+    }
+    return square;
+}
+
+static double fold_cost(const struct collapse *c, double square)
+{
+    return c->unit * fold_weight * square * square * square;
+}
+
+/* Puts a candidate back into the heap if it has become dearer. Returns whether it has. */
+static bool put_back(struct collapse *c, const struct candidate *candidate, double cost)
+{
+    const float before = get_cost(candidate);
+    if (!(cost > (double)before * grown && (float)cost > before))
+        return false;
+    if (isfinite((float)cost))
+        push_edge(c, get_u(candidate), candidate->v, cost);
+    return true;
+}
+
+/* Computes anew what changes when the triangles of a vertex do, and adds its candidates. */
+static void update_vertex(struct collapse *c, uint32_t v)
+{
+    struct vox_rings *r = &c->rings;
+    const uint32_t seen = ++r->walk;
+    c->stamps[v]++;
+    sum_around(c, v);
+    for (VOX_EACH_CORNER(r, v, k)) {
+        const uint32_t ends[2] = {vox_after(r, k), vox_before(r, k)};
+        for (int i = 0; i < 2; i++) {
+            if (r->marks[ends[i]] != seen)
+                sum_around(c, ends[i]);
+            r->marks[ends[i]] = seen;
+        }
+    }
+    push_edges(c, v, false);
+}
+
+/* ---- pieces and handles ---- */
+
+/* Drops the small piece of a candidate's edge. What is nearest stands for it from then on. Returns
+ * whether there is one, or an error. */
+static int drop_small_piece(struct collapse *c, const struct candidate *candidate)
+{
+    struct vox_rings *r = &c->rings;
+    struct vox_small_piece piece;
+    float drift = 0;
+    int status = vox_find_small_piece(r, candidate->v, &c->places, &piece);
+    if (status < 0 || piece.count == 0)
+        return status;
+    for (unsigned i = 0; i < piece.count; i++)
+        drift = fmaxf(drift, c->drifts[piece.vertices[i]]);
+    drift = add_drift(fmaxf(drift, c->drifts[piece.nearest]), piece.square);
+    if (put_back(c, candidate, piece_weight * drift_cost(c, drift)))
+        return 1;
+    const uint32_t before = r->alive;
+    vox_drop_piece(r, &piece);
+    c->drifts[piece.nearest] = drift;
+    c->removed->pieces++;
+    c->removed->triangles += before - r->alive;
+    return 1;
+}
+
+/* Returns whether a triangle in a cycle would lie back to back with one beside it. normal: of the
+ * cycle. */
+static bool cap_folds(struct vox_rings *r, const uint32_t cycle[3], const double normal[3])
+{
+    bool folds = false;
+    for (int i = 0; i < 3; i++)
+        for (VOX_EACH_CORNER(r, cycle[i], k)) {
+            const uint32_t next = cycle[(i + 1) % 3];
+            const bool left = vox_after(r, k) == next;
+            double other[3];
+            if (!left && vox_before(r, k) != next)
+                continue;
+            vox_triangle_normal((const float(*)[3])r->mesh->positions, vox_corners(r, k), other);
+            for (int j = 0; j < 3 && left; j++)
+                other[j] = -other[j];
+            folds |= is_fold(normal, other);
+        }
+    return folds;
+}
+
+/* Cuts a handle or a neck where a candidate's edge is one of three around it. */
+static void cut_handle(struct collapse *c, const struct candidate *candidate)
+{
+    struct vox_rings *r = &c->rings;
+    uint32_t cycle[3], copies[3];
+    double normal[3], longest = 0, around = 0;
+    float drift = 0;
+    if (!vox_find_cycle(r, get_u(candidate), candidate->v, cycle))
+        return;
+    vox_triangle_normal((const float(*)[3])r->mesh->positions, cycle, normal);
+    for (int i = 0; i < 3; i++) {
+        const double square = edge_square(c, cycle[i], cycle[(i + 1) % 3]);
+        longest = fmax(longest, square);
+        around += sqrt(square);
+        drift = fmaxf(drift, c->drifts[cycle[i]]);
+    }
+    /* No place in the new triangles is farther from the surface than the radius of their circle. */
+    const double area = bsq_dotd(normal, normal), square = area / (around * around);
+    drift = add_drift(drift, square);
+    const double fold = cap_folds(r, cycle, normal) ? fold_cost(c, longest) : 0;
+    if (put_back(c, candidate,
+                 c->unit * cut_weight * area * square + drift_cost(c, drift) + fold) ||
+        !vox_cut_cycle(r, cycle, copies))
+        return;
+    c->removed->handles++;
+    for (int i = 0; i < 3; i++)
+        c->drifts[cycle[i]] = c->drifts[copies[i]] = drift;
+    for (int i = 0; i < 3; i++) {
+        update_vertex(c, cycle[i]);
+        update_vertex(c, copies[i]);
+    }
+}
+
+/* Takes the cheapest candidate, and collapses it if that is allowed. Errors: BSQ_ENOMEM. */
+static int collapse_next(struct collapse *c)
 {
     const struct candidate candidate = pop(c);
     const uint32_t u = get_u(&candidate), v = candidate.v;
-    const float cost = get_cost(&candidate);
     struct vox_rings *r = &c->rings;
     struct result result;
     if (!is_current(c, &candidate) || !evaluate(c, u, v, &result))
-        return;
+        return 0;
     const float drift = find_drift(c, u, v, result.position);
-    const double square = (double)drift * (double)drift;
-    result.cost += c->unit * drift_weight * square * square * square;
-    if (result.cost > (double)cost * grown && (float)result.cost > cost) {
-        push_edge(c, u, v, result.cost);
-        return;
+    result.cost += drift_cost(c, drift);
+    if (put_back(c, &candidate, result.cost))
+        return 0;
+    if (!vox_rings_keep_topology(r, u, v)) {
+        const int dropped = drop_small_piece(c, &candidate);
+        if (dropped == 0)
+            cut_handle(c, &candidate);
+        return dropped < 0 ? dropped : 0;
     }
-    if (!vox_rings_keep_topology(r, u, v) || makes_fold(r, u, v, result.position))
-        return;
+    if (makes_fold(r, u, v, result.position) &&
+        put_back(c, &candidate, result.cost + fold_cost(c, edge_square(c, u, v))))
+        return 0;
     vox_rings_join(r, u, v, result.position);
     c->drifts[u] = drift;
-    c->stamps[u]++;
-    sum_around(c, u);
-    for (VOX_EACH_CORNER(r, u, k)) { /* each neighbour once, in a closed ring */
-        sum_around(c, vox_after(r, k));
-        if (r->flags[u] & (VOX_BORDER | VOX_LOCKED))
-            sum_around(c, vox_before(r, k));
-    }
-    push_edges(c, u, false);
+    update_vertex(c, u);
+    return 0;
 }
 
 /* Edges that were refused may be allowed after their neighbours have changed, so all edges become
@@ -510,7 +672,9 @@ static int collapse_edges(struct collapse *c)
                 push_edges(c, v, true);
         }
         for (uint64_t i = 0; c->heap_count > 0 && r->alive > c->target; i++) {
-            collapse_next(c);
+            const int status = collapse_next(c);
+            if (status < 0)
+                return status;
             if (i % VOX_CHECK_EVERY != 0)
                 continue;
             if (bsq_check(r->ctx) < 0)
@@ -537,13 +701,15 @@ static double find_unit(const struct vox_mesh *mesh)
     return ldexp(1, -3 * exponent);
 }
 
-int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh)
+int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh,
+                 struct vox_removed *removed)
 {
     static const char what[] = "an edge collapse";
     const uint64_t vertices = mesh->vertex_count;
     struct collapse c = {.rings = {.ctx = ctx},
                          .target = target,
                          .unit = find_unit(mesh),
+                         .removed = removed,
                          /* twice the edges of a closed mesh */
                          .heap_capacity = 3 * (uint64_t)mesh->triangle_count + 16};
     int status = 0;
@@ -559,6 +725,7 @@ int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh)
     BSQ_TRY(collapse_edges(&c));
     vox_rings_compact(&c.rings);
 done:
+    bsq_free(ctx, c.places.places);
     bsq_free(ctx, c.heap);
     bsq_free(ctx, c.around);
     bsq_free(ctx, c.drifts);

@@ -95,7 +95,8 @@ int vox_rings_build(struct bsq_ctx *ctx, struct vox_mesh *mesh, bool lock_border
     static const char what[] = "an edge collapse";
     const uint64_t vertices = mesh->vertex_count;
     int status = 0;
-    *r = (struct vox_rings){.ctx = ctx, .mesh = mesh, .alive = mesh->triangle_count};
+    *r = (struct vox_rings){
+        .ctx = ctx, .mesh = mesh, .alive = mesh->triangle_count, .spare = VOX_NONE};
     BSQ_TRY(
         bsq_alloc(ctx, what, mesh->triangle_count, VOX_RING_WORDS * sizeof *r->words, &r->words));
     BSQ_TRY(bsq_alloc(ctx, what, vertices, sizeof *r->corner, &r->corner));
@@ -203,7 +204,7 @@ bool vox_rings_keep_orientation(struct vox_rings *r, uint32_t u, uint32_t v, con
 void vox_rings_join(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3])
 {
     const uint32_t start = r->corner[v];
-    uint32_t k = start;
+    uint32_t k = start, gone = VOX_NONE;
     do { /* through all corners, also those that are gone */
         uint32_t *words = vox_words(r, k);
         if (!vox_is_gone(r, k)) {
@@ -211,6 +212,7 @@ void vox_rings_join(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3
             for (int i = 0; i < 5; i++)
                 words[i] = has_both ? VOX_NONE : words[i] == v ? u : words[i];
             r->alive -= has_both;
+            gone = has_both ? k & ~(VOX_RING_WORDS - 1U) : gone;
         }
         k = r->words[k + VOX_LINK];
     } while (k != start);
@@ -219,6 +221,11 @@ void vox_rings_join(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3
     *link = *other;
     *other = swapped;
     r->corner[v] = VOX_NONE;
+    if (gone != VOX_NONE) {
+        r->words[gone + 1] = r->spare;
+        r->words[gone + 2] = v;
+        r->spare = gone;
+    }
     memcpy(r->mesh->positions[u], p, sizeof *r->mesh->positions);
     r->flags[u] |= r->flags[v];
 }
@@ -231,7 +238,7 @@ void vox_rings_compact(struct vox_rings *r)
     memset(numbers, 0xff, mesh->vertex_count * sizeof *numbers);
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         const uint32_t *corners = vox_corners(r, VOX_RING_WORDS * t);
-        if (corners[0] == VOX_NONE)
+        if (vox_is_gone(r, VOX_RING_WORDS * t))
             continue;
         for (int k = 0; k < 3; k++)
             numbers[corners[k]] = 0;

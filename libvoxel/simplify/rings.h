@@ -27,7 +27,9 @@ struct vox_rings {
     struct bsq_ctx *ctx;
     struct vox_mesh *mesh; /* its triangles are out of date until vox_rings_compact() */
     uint32_t alive;        /* triangles */
-    uint32_t *words;       /* of triangles; those that are gone have VOX_NONE as all vertices */
+    uint32_t *words;       /* of triangles; those that are gone have VOX_NONE as their first one */
+    uint32_t spare;        /* words of a triangle that is gone: the next one's follow, and a vertex
+                            * that is gone too; or VOX_NONE */
     uint32_t *corner;      /* of each vertex: a corner of its ring, or VOX_NONE */
     uint8_t *flags;        /* of vertices */
     uint32_t *marks;       /* of vertices: the walk that found them last */

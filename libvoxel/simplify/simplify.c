@@ -19,6 +19,7 @@ struct simplifying {
     struct fmt_tris_file *file;
     const struct fmt_tris_header *header;
     struct vox_mesh mesh;
+    struct vox_removed removed; /* on the way to `mesh` */
     struct bsq_output_group outputs;
 };
 
@@ -101,7 +102,8 @@ static int collapse_to(struct simplifying *s, struct vox_mesh *mesh, uint64_t ta
     const double start = bsq_seconds_now();
     const uint64_t more = mesh->triangle_count > target ? mesh->triangle_count - target : 0;
     bsq_progress_begin(s->ctx, "collapsing edges", "triangles", more);
-    int status = vox_collapse(s->ctx, target < UINT32_MAX ? (uint32_t)target : UINT32_MAX, mesh);
+    int status = vox_collapse(s->ctx, target < UINT32_MAX ? (uint32_t)target : UINT32_MAX, mesh,
+                              &s->removed);
     bsq_progress_end(s->ctx);
     s->report->seconds_collapse += bsq_seconds_now() - start;
     return status;
@@ -153,6 +155,7 @@ static int simplify_to_error(struct simplifying *s)
     }
     for (int i = 0; i < ERROR_STEPS && 1.02 * low < s->mesh.triangle_count; i++) {
         const double middle = sqrt(low * s->mesh.triangle_count);
+        const struct vox_removed before = s->removed;
         tried = (struct vox_simplified){.target = 0};
         BSQ_TRY(vox_mesh_copy(s->ctx, &s->mesh, 0, &trial));
         BSQ_TRY(collapse_to(s, &trial, (uint64_t)middle));
@@ -166,6 +169,7 @@ static int simplify_to_error(struct simplifying *s)
             *kept = tried;
         } else {
             low = middle;
+            s->removed = before;
         }
         vox_mesh_free(s->ctx, &trial);
     }
@@ -273,6 +277,9 @@ int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options
     BSQ_TRY(drop_pieces(&s));
     BSQ_TRY(options->target_count > 0 ? simplify_to_targets(&s) : simplify_to_error(&s));
     status = bsq_output_group_commit(&s.outputs);
+    report->dropped_pieces += s.removed.pieces;
+    report->dropped_triangles += s.removed.triangles;
+    report->cut_handles = s.removed.handles;
     report->temp_bytes = bsq_temp_bytes(ctx) - temp_before;
 done:
     bsq_output_group_discard(&s.outputs);

@@ -52,10 +52,18 @@ int vox_thin(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh);
  * that the surface has gone from it; where that is long, edges collapse later. Vertices of open
  * borders move along their border only. */
 
+/* What the last phase took away, beside edges. */
+struct vox_removed {
+    uint64_t pieces, triangles; /* pieces that were small, and their triangles when they went */
+    uint64_t handles;           /* cut through: also tunnels, and necks between two parts */
+};
+
 /* Collapses edges of a welded mesh, cheapest first, until `target` triangles are left or no edge
- * can collapse. Then compacts the mesh. Counts triangles as progress of the context. The result
- * depends on the mesh and the target alone. Errors: BSQ_ENOMEM, BSQ_EINTR. */
-int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh);
+ * can collapse. Small pieces and narrow handles go when that costs no more; *removed counts them.
+ * Then compacts the mesh. Counts triangles as progress of the context. The result depends on the
+ * mesh and the target alone. Errors: BSQ_ENOMEM, BSQ_EINTR. */
+int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh,
+                 struct vox_removed *removed);
 
 /* ---- measure.c: how far a low-poly mesh is from its scan, both ways ---- */
 
