@@ -10,11 +10,6 @@
 #include "base/geometry/polygon.h"
 #include "formats/mesh/mesh_reader.h"
 
-/* Occurrences of something, and the first face that has it. */
-struct loss {
-    uint64_t count, face;
-};
-
 /* Growing copies of the batches' arrays. A corner without index, UINT64_MAX, becomes UINT32_MAX
  * when it is cut to 32 bits. */
 struct loader {
@@ -28,8 +23,9 @@ struct loader {
     uint64_t corner_capacity[3], corner_count;
     bool has_corners[3];
     uint64_t cut[3]; /* the first index of a kind that is too large for 32 bits; 0: none */
-    struct loss lost_faces, lost_normals; /* without a position; that refer to nothing */
-    bool named;                           /* the names of materials and objects are wanted */
+    struct fmt_mesh_loss lost_faces;   /* without a position */
+    struct fmt_mesh_loss lost_normals; /* that do not exist */
+    bool named;                        /* the names of materials and objects are wanted */
     uint64_t material_capacity;
     /* For one polygon. */
     double (*polygon)[3];
@@ -133,12 +129,6 @@ static int fail_corner(struct loader *loader, uint64_t face, uint64_t corner, in
                                index == UINT32_MAX - 1 ? loader->cut[kind] : index);
 }
 
-static void count_loss(struct loss *loss, uint64_t face)
-{
-    if (!loss->count++)
-        loss->face = face;
-}
-
 /* Returns whether a polygon, whose corners begin at `first`, has a vertex without a position. */
 static bool lacks_position(const struct loader *loader, uint64_t face, uint64_t first)
 {
@@ -159,7 +149,7 @@ static int check_corner(struct loader *loader, const uint64_t totals[3], uint64_
         if (*index >= totals[kind] && !none) {
             if (kind != FMT_MESH_NORMAL)
                 return fail_corner(loader, face, corner, kind);
-            count_loss(&loader->lost_normals, face);
+            fmt_mesh_add_loss(&loader->lost_normals, 1, face);
             *index = UINT32_MAX;
         }
     }
@@ -253,7 +243,7 @@ static int make_triangles(struct loader *loader)
     BSQ_TRY(allocate_triangles(loader, largest));
     for (uint64_t face = 0; face < loader->mesh->face_count; face++) {
         if (lacks_position(loader, face, corner)) {
-            count_loss(&loader->lost_faces, face);
+            fmt_mesh_add_loss(&loader->lost_faces, 1, face);
         } else {
             BSQ_TRY(split_face(loader, face, corner, triangle));
             triangle += loader->face_sizes[face] - 2;
@@ -299,12 +289,12 @@ static int load(struct loader *loader, const char *path)
         return fmt_mesh_fail_no_faces(loader->ctx, path, &totals);
     const uint64_t counts[3] = {totals.vertices, totals.texcoords, totals.normals};
     BSQ_TRY(check_corners(loader, counts));
-    BSQ_TRY(fmt_mesh_report_loss(loader->reader, FMT_MESH_NORMAL, loader->lost_normals.count,
-                                 loader->lost_normals.face, totals.faces));
+    BSQ_TRY(
+        fmt_mesh_report_loss(loader->reader, FMT_MESH_NORMAL, &loader->lost_normals, totals.faces));
     BSQ_TRY(hash_faces(loader));
     BSQ_TRY(make_triangles(loader));
-    BSQ_TRY(fmt_mesh_report_loss(loader->reader, FMT_MESH_VERTEX, loader->lost_faces.count,
-                                 loader->lost_faces.face, totals.faces));
+    BSQ_TRY(
+        fmt_mesh_report_loss(loader->reader, FMT_MESH_VERTEX, &loader->lost_faces, totals.faces));
     normalise(mesh);
     if (loader->named)
         status = fmt_mesh_read_materials(loader->reader, &mesh->materials);

@@ -395,14 +395,15 @@ done:
     return status;
 }
 
-int fmt_mesh_report_loss(struct fmt_mesh_reader *reader, enum fmt_mesh_kind kind, uint64_t count,
-                         uint64_t face, uint64_t faces)
+int fmt_mesh_report_loss(struct fmt_mesh_reader *reader, enum fmt_mesh_kind kind,
+                         const struct fmt_mesh_loss *loss, uint64_t faces)
 {
+    const uint64_t count = loss->count;
     char *location = NULL;
     int status = 0;
     if (count == 0)
         return 0;
-    BSQ_TRY(fmt_mesh_location_text(reader, face, &location));
+    BSQ_TRY(fmt_mesh_location_text(reader, loss->face, &location));
     if (kind != FMT_MESH_VERTEX)
         status = bsq_warn_loss(reader->ctx,
                                "%s: corners that refer to a %s that the file does not have: "

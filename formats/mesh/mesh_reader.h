@@ -196,12 +196,24 @@ int fmt_mesh_preview_materials(struct fmt_mesh_reader *reader, struct fmt_materi
  */
 int fmt_mesh_location_text(struct fmt_mesh_reader *reader, uint64_t face, char **out);
 
-/* Reports that `count` of the scan's `faces` have a vertex without a position and are left out, if
- * kind is FMT_MESH_VERTEX, or that `count` corners refer to a texture coordinate or normal
- * that their file does not have. face: the first one. It is a warning of lost data, or BSQ_EDATA if
- * more than 1 % of the faces are left out: the file is damaged, or not what was meant. */
-int fmt_mesh_report_loss(struct fmt_mesh_reader *reader, enum fmt_mesh_kind kind, uint64_t count,
-                         uint64_t face, uint64_t faces);
+/* Occurrences of something, and the first face of the scan that has it. All zero at first. */
+struct fmt_mesh_loss {
+    uint64_t count, face;
+};
+
+/* Counts occurrences after those before; `face` has the first of them. */
+static inline void fmt_mesh_add_loss(struct fmt_mesh_loss *loss, uint64_t count, uint64_t face)
+{
+    loss->face = loss->count > 0 ? loss->face : face;
+    loss->count += count;
+}
+
+/* Reports that some of the scan's `faces` have a vertex without a position and are left out, if
+ * kind is FMT_MESH_VERTEX, or that some corners refer to a texture coordinate or normal that their
+ * file does not have. It is a warning of lost data, or BSQ_EDATA if more than 1 % of the faces are
+ * left out: the file is damaged, or not what was meant. */
+int fmt_mesh_report_loss(struct fmt_mesh_reader *reader, enum fmt_mesh_kind kind,
+                         const struct fmt_mesh_loss *loss, uint64_t faces);
 
 /* Returns whether no index but FMT_MESH_NONE is `end` or more. Indices and ends are below 2^62, so
  * the sign of the difference tells; FMT_MESH_NONE wraps to `end`. */

@@ -42,11 +42,6 @@ struct scan_missing {
     uint64_t words, capacity; /* of 64 bits */
 };
 
-/* Occurrences of something, and the first face of the scan that has it. */
-struct scan_loss {
-    uint64_t count, face;
-};
-
 /* Some programs write values from 0 to 1 with bright spots above that. */
 #define COLOR_UNIT   2.0f
 #define COLOR_BRIGHT 16.0f
@@ -97,7 +92,7 @@ struct scan_face_check {
     struct scan_bad_index bad_index; /* the first one of a vertex */
     /* By kind: faces left out for lack of a position, and corners that refer to a texture
      * coordinate or normal that the file does not have. */
-    struct scan_loss lost[FMT_MESH_KIND_COUNT];
+    struct fmt_mesh_loss lost[FMT_MESH_KIND_COUNT];
 };
 
 /* A texture that is checked. */
@@ -153,7 +148,7 @@ struct scan {
     bool lacks_texcoord; /* some corner has none */
     bool has_normals;    /* some corner has one */
     struct scan_bad_index bad_index;
-    struct scan_loss lost[FMT_MESH_KIND_COUNT]; /* as in struct scan_face_check */
+    struct fmt_mesh_loss lost[FMT_MESH_KIND_COUNT]; /* as in struct scan_face_check */
 
     const struct vox_channel *channels; /* to keep; set after vox_scan_init() */
     uint32_t channel_count;

@@ -13,12 +13,6 @@
 
 /* ---- what refers to nothing ---- */
 
-static void count_loss(struct scan_loss *loss, uint64_t face)
-{
-    if (!loss->count++)
-        loss->face = face;
-}
-
 static bool lacks_position(const struct scan_missing *missing, const uint64_t *corners,
                            uint32_t size)
 {
@@ -38,7 +32,7 @@ static void drop_indices(const struct scan *scan, enum fmt_mesh_kind kind, uint6
         if (indices[i] == FMT_MESH_NONE)
             continue;
         if (indices[i] >= end)
-            count_loss(&check->lost[kind], face);
+            fmt_mesh_add_loss(&check->lost[kind], 1, face);
         if (indices[i] >= end || scan_is_missing(&scan->missing[kind], indices[i]))
             indices[i] = FMT_MESH_NONE;
     }
@@ -59,7 +53,7 @@ static void clean_faces(const struct scan *scan, struct scan_face_check *check)
         for (; change < b->material_change_count && b->material_changes[change].face <= f; change++)
             b->material_changes[change].face = faces;
         if (lacks_position(&scan->missing[FMT_MESH_VERTEX], indices[0] + first, size)) {
-            count_loss(&check->lost[FMT_MESH_VERTEX], face);
+            fmt_mesh_add_loss(&check->lost[FMT_MESH_VERTEX], 1, face);
             continue;
         }
         for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
@@ -222,19 +216,13 @@ static int note_file_faces(struct scan *scan, const struct scan_face_check *chec
     return status;
 }
 
-static void add_loss(struct scan_loss *to, const struct scan_loss *loss)
-{
-    to->face = to->count > 0 ? to->face : loss->face;
-    to->count += loss->count;
-}
-
 int vox_scan_note_faces(struct scan *scan, const struct scan_face_check *check)
 {
     if (scan->bad_index.found)
         return 0;
     scan->bad_index = check->bad_index;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
-        add_loss(&scan->lost[kind], &check->lost[kind]);
+        fmt_mesh_add_loss(&scan->lost[kind], check->lost[kind].count, check->lost[kind].face);
     scan->lacks_texcoord |= check->lacks_texcoord;
     scan->has_normals |= check->has_normals;
     return note_file_faces(scan, check);

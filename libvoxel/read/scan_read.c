@@ -561,8 +561,8 @@ int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
     if (bad->found)
         return fmt_mesh_fail_index(reader, bad->face, bad->kind, bad->index);
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
-        BSQ_TRY(fmt_mesh_report_loss(reader, (enum fmt_mesh_kind)kind, scan->lost[kind].count,
-                                     scan->lost[kind].face, scan->totals.faces));
+        BSQ_TRY(fmt_mesh_report_loss(reader, (enum fmt_mesh_kind)kind, &scan->lost[kind],
+                                     scan->totals.faces));
 done:
     return status;
 }
