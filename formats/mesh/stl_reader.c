@@ -400,7 +400,8 @@ static bool next_word(struct text *t)
 static bool take(struct text *t, const char *word)
 {
     const size_t size = strlen(word);
-    if (strncasecmp(t->at, word, size) != 0 || (unsigned char)t->at[size] > ' ')
+    if ((*t->at | 32) != *word || strncasecmp(t->at, word, size) != 0 ||
+        (unsigned char)t->at[size] > ' ')
         return false;
     t->at += size;
     return true;
