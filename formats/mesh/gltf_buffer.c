@@ -298,25 +298,6 @@ static int read_type(const struct gltf_item *item, uint32_t *components)
     return fmt_gltf_fail(item, "unknown type \"%.20s\"", name ? name : "");
 }
 
-/* An accessor without a view stands for zeros. There may be as many of them as the file has bytes,
- * so that a small file cannot stand for endless work. */
-int fmt_gltf_check_used(const struct gltf_item *item, const struct gltf_source *source,
-                        uint32_t number)
-{
-    const struct gltf_accessor *accessor = &source->accessors[number];
-    if (accessor->sparse)
-        return fmt_gltf_fail(item,
-                             "accessors[%" PRIu32 "] is sparse, which is not read: save the file "
-                             "by Blender or gltfpack",
-                             number);
-    if (accessor->view == GLTF_NONE && accessor->count > source->bytes)
-        return fmt_gltf_fail(item,
-                             "accessors[%" PRIu32 "] has %" PRIu64
-                             " elements without data, which are too many",
-                             number, accessor->count);
-    return 0;
-}
-
 /* Checks that the elements of an accessor lie in its view. */
 static int check_elements(const struct gltf_item *item, const struct gltf_source *source,
                           const struct gltf_accessor *a)

@@ -218,9 +218,6 @@ int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source);
 uint32_t fmt_gltf_component_bytes(enum gltf_component component);
 
 int fmt_gltf_read_accessor(const struct gltf_item *item, struct gltf_source *source, void *element);
-/* Checks that an accessor of a mesh can be read. */
-int fmt_gltf_check_used(const struct gltf_item *item, const struct gltf_source *source,
-                        uint32_t accessor);
 
 /* Decodes elements [first, first + count) of an accessor to doubles, components next to each other.
  * *out lies in slot->work until the next call. */
@@ -238,8 +235,6 @@ uint64_t fmt_gltf_stride(const struct gltf_source *source, const struct gltf_acc
 
 /* ---- gltf_scene.c, gltf_material.c ---- */
 
-/* Allocates the primitives of all meshes. */
-int fmt_gltf_allocate_primitives(struct gltf_document *document, struct gltf_source *source);
 int fmt_gltf_read_mesh(const struct gltf_item *item, struct gltf_source *source, void *element);
 int fmt_gltf_read_scene(struct gltf_document *document, struct gltf_source *source);
 int fmt_gltf_read_material(const struct gltf_item *item, struct gltf_source *source, void *element);

@@ -45,6 +45,18 @@ done:
     return status;
 }
 
+/* Allocates the primitives of all meshes. */
+static int allocate_primitives(struct gltf_document *document, struct gltf_source *source)
+{
+    const uint64_t count = fmt_gltf_count(document, "meshes");
+    uint64_t primitives = 1;
+    for (uint64_t i = 0; i < count; i++)
+        primitives += json_array_size(
+            json_object_get(fmt_gltf_element(document, "meshes", i).object, "primitives"));
+    return bsq_calloc(document->ctx, "glTF primitives", primitives, sizeof *source->primitives,
+                      &source->primitives);
+}
+
 #define READ_LIST(name, list, count, read)                                                         \
     read_list(document, file, name, sizeof *file->list, &file->list, &file->count, read)
 
@@ -57,7 +69,7 @@ static int read_document(struct gltf_document *document, struct gltf_source *fil
     BSQ_TRY(READ_LIST("bufferViews", views, view_count, fmt_gltf_read_view));
     BSQ_TRY(READ_LIST("accessors", accessors, accessor_count, fmt_gltf_read_accessor));
     BSQ_TRY(READ_LIST("materials", materials, material_count, fmt_gltf_read_material));
-    BSQ_TRY(fmt_gltf_allocate_primitives(document, file));
+    BSQ_TRY(allocate_primitives(document, file));
     BSQ_TRY(READ_LIST("meshes", meshes, mesh_count, fmt_gltf_read_mesh));
     status = fmt_gltf_read_scene(document, file);
 done:

@@ -71,6 +71,25 @@ static void count_triangles(struct gltf_source *source, struct gltf_primitive *o
     }
 }
 
+/* Checks that an accessor of a mesh can be read. One without a view stands for zeros. There may be
+ * as many of them as the file has bytes, so that a small file cannot stand for endless work. */
+static int check_used(const struct gltf_item *item, const struct gltf_source *source,
+                      uint32_t number)
+{
+    const struct gltf_accessor *accessor = &source->accessors[number];
+    if (accessor->sparse)
+        return fmt_gltf_fail(item,
+                             "accessors[%" PRIu32 "] is sparse, which is not read: save the file "
+                             "by Blender or gltfpack",
+                             number);
+    if (accessor->view == GLTF_NONE && accessor->count > source->bytes)
+        return fmt_gltf_fail(item,
+                             "accessors[%" PRIu32 "] has %" PRIu64
+                             " elements without data, which are too many",
+                             number, accessor->count);
+    return 0;
+}
+
 /* Reads the accessors of a primitive of triangles. */
 static int read_accessors(const struct gltf_item *item, struct gltf_source *source,
                           const json_t *object, struct gltf_primitive *out)
@@ -87,7 +106,7 @@ static int read_accessors(const struct gltf_item *item, struct gltf_source *sour
     BSQ_TRY(fmt_gltf_read_draco(item, source, object, keys, out));
     for (int use = 0; use < GLTF_USE_COUNT; use++)
         if (out->accessors[use] != GLTF_NONE)
-            BSQ_TRY(fmt_gltf_check_used(item, source, out->accessors[use]));
+            BSQ_TRY(check_used(item, source, out->accessors[use]));
 done:
     return status;
 }
@@ -186,17 +205,6 @@ int fmt_gltf_read_mesh(const struct gltf_item *item, struct gltf_source *source,
     }
 done:
     return status;
-}
-
-int fmt_gltf_allocate_primitives(struct gltf_document *document, struct gltf_source *source)
-{
-    const uint64_t count = fmt_gltf_count(document, "meshes");
-    uint64_t primitives = 1;
-    for (uint64_t i = 0; i < count; i++)
-        primitives += json_array_size(
-            json_object_get(fmt_gltf_element(document, "meshes", i).object, "primitives"));
-    return bsq_calloc(document->ctx, "glTF primitives", primitives, sizeof *source->primitives,
-                      &source->primitives);
 }
 
 /* ---- nodes ---- */
