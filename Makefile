@@ -144,7 +144,8 @@ $(BUILD)/obj/%_lanes.c.$(1).o: %_lanes.c
 	    -o $$@
 endef
 $(foreach s,$(simd),$(eval $(call simd_rule,$(s))))
-$(patsubst %,$(BUILD)/obj/libbake/device/native/%_lanes.c.avx512.o,native tree_rays tree_voxels): \
+$(patsubst %,$(BUILD)/obj/libbake/%_lanes.c.avx512.o,device/native/native grid_tree/tree_rays \
+    grid_tree/tree_voxels): \
     CFLAGS += -mprefer-vector-width=512
 cppflags.formats = $(formats_cppflags)
 cppflags.tests   = $(formats_cppflags)

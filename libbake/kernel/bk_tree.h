@@ -1,5 +1,5 @@
 /* bk_tree.h - sends secondary rays through a tree of boxes around the voxels of a grid, one ray at
- * a time. For GPUs; libbake/device/native/ sends many at once.
+ * a time. For GPUs; tree_rays_lanes.c sends many at once.
  *
  * leaf_tree.h describes the nodes. A ray descends into the children of a node whose boxes it meets,
  * those first that lie towards its start. Boxes are tested with a margin for rounding. In a block

@@ -5,7 +5,7 @@
 #include <unistd.h>
 
 #include "libbake/device/native/native_code.h"
-#include "libbake/device/native/tree_rays.h"
+#include "libbake/grid_tree/tree_rays.h"
 
 enum { PAIRS_PER_BAND = 1 << 18 };
 

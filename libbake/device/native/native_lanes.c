@@ -4,7 +4,7 @@
 #include "base/simd/simd.h"
 #define BK_WIDTH SIMD_FLOATS
 #include "libbake/device/native/native_code.h"
-#include "libbake/device/native/tree_rays.h"
+#include "libbake/grid_tree/tree_rays.h"
 #include "libbake/kernel/bk_sample.h"
 
 _Static_assert(BK_WIDTH <= BAKE_NATIVE_HITS, "the hits of a group have results");

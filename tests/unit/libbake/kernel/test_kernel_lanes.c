@@ -3,7 +3,7 @@
  * eight and sixteen in Morton order to single samples, row by row. */
 #include "libbake/kernel/bk_sample.h"
 #include "libbake/device/native/native_code.h"
-#include "libbake/device/native/tree_rays.h"
+#include "libbake/grid_tree/tree_rays.h"
 #include "tests/unit/libbake/analytic_grid.h"
 #include "tests/unit/libbake/walked_ray.h"
 #include "tests/unit/sanitized.h"

@@ -2,7 +2,7 @@
  * rays from voxel to voxel find, also if they go through edges and corners of voxels. */
 #include "base/context.h"
 #include "libbake/device/job/job.h"
-#include "libbake/device/native/tree_rays.h"
+#include "libbake/grid_tree/tree_rays.h"
 #include "tests/unit/libbake/analytic_grid.h"
 #include "tests/unit/libbake/walked_ray.h"
 #include "tests/unit/test.h"

@@ -8,7 +8,7 @@
 
 #include "base/simd/simd.h"
 #define BK_WIDTH SIMD_FLOATS
-#include "libbake/device/native/tree_rays.h"
+#include "libbake/grid_tree/tree_rays.h"
 
 enum { BLOCK_VOXELS = 64 };
 

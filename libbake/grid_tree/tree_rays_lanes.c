@@ -16,7 +16,7 @@
 
 #include "base/simd/simd.h"
 #define BK_WIDTH SIMD_FLOATS
-#include "libbake/device/native/tree_rays.h"
+#include "libbake/grid_tree/tree_rays.h"
 
 /* At most this many rays of a bundle are tested against a node one by one. */
 enum { SINGLE_RAYS_MOST = 24 };
