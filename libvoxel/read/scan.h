@@ -42,23 +42,6 @@ struct scan_missing {
     uint64_t words, capacity; /* of 64 bits */
 };
 
-/* Some programs write values from 0 to 1 with bright spots above that. */
-#define COLOR_UNIT   2.0f
-#define COLOR_BRIGHT 16.0f
-
-/* Numbers of colours that have some such component. */
-struct color_votes {
-    uint64_t fractional; /* above 0 and at most COLOR_BRIGHT, but not whole */
-    uint64_t large;      /* above COLOR_UNIT */
-    uint64_t bright;     /* above COLOR_BRIGHT */
-};
-
-/* Adds colours to the votes. A vertex without a colour has no component above 0. */
-void vox_color_votes_add(struct color_votes *votes, const float (*colors)[3], uint64_t count);
-/* Returns the factor from the colours to 0..255: 255 or 1. Returns 0 if they do not tell: all are
- * whole numbers up to COLOR_UNIT so far. */
-float vox_color_votes_scale(const struct color_votes *votes);
-
 /* What became of a file's ZBrush polypaint. */
 enum scan_paint { SCAN_PAINT_NONE, SCAN_PAINT_USED, SCAN_PAINT_LOST };
 
@@ -71,10 +54,10 @@ struct scan_file {
     bool has_material_colors; /* faces use a material with a colour, but without a texture; set by
                                  vox_scan_find_materials() */
     enum scan_paint paint;    /* late colours */
-    /* Of vertex colours in batches that do not say their scale. */
-    struct color_votes color_votes;
-    uint64_t clamped_colors[2]; /* of these: vertices with a value out of 0 to 1, out of 0 to 255 */
-    float color_scale;          /* to 0..255; set by vox_scan_finish() */
+    /* Of vertex colours in batches that do not say their scale: the largest component, and the
+     * vertices with one out of 0 to 1, out of 0 to 255. */
+    float largest_color;
+    uint64_t clamped_colors[2];
 };
 
 /* What faces with a material have. */

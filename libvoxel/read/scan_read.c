@@ -1,4 +1,4 @@
-/* scan_read.c - appends parsed batches to attribute streams, and finds the scale of their colours.
+/* scan_read.c - appends parsed batches to attribute streams, and scales their colours.
  *
  * This runs in the reader's serial step, while workers parse other batches. So it only converts and
  * appends. */
@@ -196,37 +196,45 @@ static uint32_t pack_color(struct scan *scan, const float color[3], float scale)
     return packed;
 }
 
+/* OBJ files, and PLY files with real numbers, do not say whether colours range to 1 or to 255: to
+ * 255 if any of the file is larger than this, and not a bright spot. So the result depends neither
+ * on their order nor on how a file is packed. */
+#define COLOR_BRIGHT 16.0f
+
 /* Packs a colour that may be from 0 to 1 or from 0 to 255 in 9 bits a component: a value up to 1 as
  * its byte of the first scale, a larger one as that of the second, plus 256. The upper byte tells
  * it from RGBA8, whose alpha is 255. */
 static uint32_t pack_unscaled(struct scan_file *file, const float color[3])
 {
     uint32_t packed = 0;
+    float largest = file->largest_color;
     bool out_of_1 = false, out_of_255 = false;
     if (!scan_color_given(color))
         return SCAN_DEFAULT_COLOR;
     for (int i = 0; i < 3; i++) {
         const float value = color[i] > 0.0f ? color[i] : 0.0f;
+        largest = value > largest ? value : largest;
         const float byte = value < 255.0f ? value : 255.0f;
         out_of_1 |= color[i] < 0.0f || value > 1.0f;
         out_of_255 |= color[i] < 0.0f || value > 255.0f;
         packed |= (value > 1.0f ? 256 + (uint32_t)(byte + 0.5f) : (uint32_t)(value * 255.0f + 0.5f))
                   << 9 * i;
     }
+    file->largest_color = largest;
     file->clamped_colors[0] += out_of_1;
     file->clamped_colors[1] += out_of_255;
     return packed;
 }
 
 /* Returns the RGBA8 of a colour that pack_unscaled() packed. */
-static uint32_t scale_color(uint32_t packed, float scale)
+static uint32_t scale_color(uint32_t packed, bool bytes)
 {
     uint32_t color = 0xff000000u;
     for (int i = 0; i < 3; i++) {
         const uint32_t part = packed >> 9 * i & 511;
         const uint32_t as_unit = part < 256 ? part : 255,
                        as_byte = part < 256 ? part / 128 : part - 256;
-        color |= (scale == 1.0f ? as_byte : as_unit) << 8 * i;
+        color |= (bytes ? as_byte : as_unit) << 8 * i;
     }
     return color;
 }
@@ -240,7 +248,7 @@ void vox_scan_scale_colors(const struct scan *scan, uint64_t first, uint64_t cou
             continue;
         while (first + i >= scan->files[file].ends[FMT_MESH_VERTEX])
             file++;
-        colors[i] = scale_color(colors[i], scan->files[file].color_scale);
+        colors[i] = scale_color(colors[i], scan->files[file].largest_color > COLOR_BRIGHT);
     }
 }
 
@@ -322,68 +330,6 @@ static bool late_colors_fit(const struct scan *scan)
 {
     const uint64_t count = scan_count(scan, SCAN_COLORS);
     return count > 0 && count == scan_count(scan, SCAN_POSITIONS) && !scan->totals.unread_colors;
-}
-
-/* ---- the scale of vertex colours: from 0 to 1, or from 0 to 255 ----
- *
- * OBJ files, and PLY files with real numbers, do not say it. All colours of a file tell it
- * together, so the result depends neither on their order nor on how a file is packed. They are
- * stored so that they can get either scale when chunks are made (pack_unscaled()). A file of black,
- * pure and white colours alone does not tell, so it takes the scale of the first file that does. */
-
-/* A damaged value in a thousand colours must not turn a scan black. */
-enum { FRACTIONAL_PER_BRIGHT = 1000 };
-
-/* Returns whether a component is a fraction above 0 and at most COLOR_BRIGHT. */
-static uint32_t is_fractional(float value)
-{
-    value = value > 0.0f ? value : 0.0f;
-    value = value < COLOR_BRIGHT ? value : COLOR_BRIGHT;
-    return value != (float)(int32_t)value;
-}
-
-void vox_color_votes_add(struct color_votes *votes, const float (*colors)[3], uint64_t count)
-{
-    enum { RUN = 1 << 16 }; /* whose numbers fit in 32 bits, for vector instructions */
-    while (count > 0) {
-        const uint32_t run = count < RUN ? (uint32_t)count : RUN;
-        uint32_t fractional = 0, large = 0, bright = 0;
-        for (uint32_t v = 0; v < run; v++) {
-            const float r = colors[v][0], g = colors[v][1], b = colors[v][2];
-            const float of_two = r > g ? r : g, most = of_two > b ? of_two : b;
-            large += most > COLOR_UNIT;
-            bright += most > COLOR_BRIGHT;
-            fractional += is_fractional(r) | is_fractional(g) | is_fractional(b);
-        }
-        votes->large += large;
-        votes->bright += bright;
-        votes->fractional += fractional;
-        colors += run;
-        count -= run;
-    }
-}
-
-/* Bytes are whole, so any whole value above 2 is one. Among fractions, values above 2 are bright
- * spots of colours from 0 to 1, unless many are too large for that. */
-float vox_color_votes_scale(const struct color_votes *votes)
-{
-    if (votes->fractional == 0)
-        return votes->large > 0 ? 1.0f : 0.0f;
-    return votes->bright > votes->fractional / FRACTIONAL_PER_BRIGHT ? 1.0f : 255.0f;
-}
-
-/* Finds the scale of the colours of each file when all are read. */
-static void find_color_scales(struct scan *scan)
-{
-    float usual = 0.0f;
-    for (uint64_t i = 0; i < scan->file_count && usual == 0.0f; i++)
-        usual = vox_color_votes_scale(&scan->files[i].color_votes);
-    for (uint64_t i = 0; i < scan->file_count; i++) {
-        struct scan_file *file = &scan->files[i];
-        const float own = vox_color_votes_scale(&file->color_votes);
-        file->color_scale = own > 0.0f ? own : usual > 0.0f ? usual : 255.0f;
-        scan->clamped_colors += file->clamped_colors[file->color_scale == 1.0f];
-    }
 }
 
 /* ---- missing elements ---- */
@@ -474,9 +420,6 @@ static int add_vertices(struct scan *scan, const struct fmt_mesh_batch *batch)
         return 0;
     BSQ_TRY(note_missing_colors(scan, batch));
     scan->batch_scale = batch->color_white > 0.0f ? 255.0f / batch->color_white : 0.0f;
-    if (batch->colors && batch->color_white == 0.0f)
-        vox_color_votes_add(&scan->files[batch->file].color_votes, batch->colors,
-                            batch->vertex_count);
     status = append(scan, batch, SCAN_COLORS, end, convert_colors);
 done:
     return status;
@@ -547,7 +490,9 @@ int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
     BSQ_TRY(vox_scan_finish_streams(scan));
     enter_file(scan, scan->path_count - 1); /* the last files may be empty */
     scan->has_colors |= late_colors_fit(scan);
-    find_color_scales(scan);
+    for (uint64_t i = 0; i < scan->file_count; i++)
+        scan->clamped_colors +=
+            scan->files[i].clamped_colors[scan->files[i].largest_color > COLOR_BRIGHT];
     if (scan->clamped_colors > 0)
         BSQ_TRY(bsq_warn_loss(scan->ctx, "%s: colours out of range were clamped at %llu %s",
                               scan->paths[0], (unsigned long long)scan->clamped_colors,

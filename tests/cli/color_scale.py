@@ -18,19 +18,12 @@ def late_bytes(i):
 
 
 def late_units(i):
-    """Some values too large for 0 to 1 come first, then fractions of 1."""
-    return (5 * (i % 7 == 0), 0, 1) if i < 0.5 * COUNT else (i % 64 / 64, 0.5, 1 - i % 128 / 128)
-
-
-def twice(i):
-    """Seems to be from 0 to 1, then from 0 to 255, and is from 0 to 1."""
-    if i < 0.4 * COUNT:
-        return (1, 0, i % 2)
-    return (20 * (i == 0.4 * COUNT), 0, 0) if i < 0.8 * COUNT else (i % 64 / 64, 0.25, 0)
+    """Pure colours, one of which is too large, come first, then fractions of 1."""
+    return (2 * (i == 0.4 * COUNT), 0, 1) if i < 0.5 * COUNT else (i % 64 / 64, 0.5, 1 - i % 128 / 128)
 
 
 # Each with the factor to bytes.
-CASES = {"late_bytes": (late_bytes, 1), "late_units": (late_units, 255), "twice": (twice, 255)}
+CASES = {"late_bytes": (late_bytes, 1), "late_units": (late_units, 255)}
 
 
 def main():

@@ -13,7 +13,7 @@ expect()
     rm -f "$name.nvdb"
 }
 
-for kind in late_bytes late_units twice; do
+for kind in late_bytes late_units; do
     python3 "$top/tests/cli/color_scale.py" $kind .
     ok $vox bytes.ply -o bytes.nvdb
     expect obj scan.obj
@@ -40,15 +40,21 @@ for white in 1 255; do
     ok run bisque-voxelize --voxel-size 0.5 --no-tris white.$white.obj -o white.$white.nvdb
 done
 same white.1.nvdb white.255.nvdb
-# A file of pure colours takes the scale of the first file that tells its own, also of the last one.
-printf 'v 9 0 0 1 0 0\nv 9 1 0 1 0 1\nv 9 0 1 0 1 0\nf -3 -2 -1\n' >dark.obj
-cat white.255.obj dark.obj >one.obj
-ok $vox one.obj -o one.nvdb
-ok $vox dark.obj white.255.obj -o two.nvdb
-same one.nvdb two.nvdb
+# 16 is still a bright spot of colours to 1, and anything above shows that they range to 255.
+for most in 16 16.5; do
+    printf 'v 0 0 0 0 0 0\nv 1 0 0 %s 1 0\nv 0 1 0 1 1 1\nf 1 2 3\n' $most >most.$most.obj
+    ok $vox most.$most.obj -o most.nvdb
+    mv most.nvdb most.$most.nvdb
+done
+printf 'v 0 0 0 0 0 0\nv 1 0 0 1 1 0\nv 0 1 0 1 1 1\nf 1 2 3\n' >unit.obj
+printf 'v 0 0 0 0 0 0\nv 1 0 0 17 1 0\nv 0 1 0 1 1 1\nf 1 2 3\n' >byte.obj
+ok $vox unit.obj -o unit.nvdb
+ok $vox byte.obj -o byte.nvdb
+same unit.nvdb most.16.nvdb
+same byte.nvdb most.16.5.nvdb
 
-# Each file has the scale of its own colours, in any order; one that does not tell takes the first
-# one's. Faces lie apart, so that the grids of all orders have the same voxels.
+# Each file has the scale of its own colours, in any order. Faces lie apart, so that the grids of all
+# orders have the same voxels.
 face()
 {
     printf 'v %s 0 0 %s\nv %s 1 0 %s\nv %s 0 1 %s\nf -3 -2 -1\n' "$1" "$2" "$1" "$2" "$1" "$2"
@@ -58,7 +64,6 @@ face 2 '127.5 255 64' >byte.obj
 face 4 '1 0 1' >pure.obj
 face 2 '0.5 1 0.250980392' >byte_as_unit.obj
 face 4 '255 0 255' >pure_as_byte.obj
-face 4 '0.003921569 0 0.003921569' >dark_as_unit.obj
 # apart NAME FILE...: a grid of these files with no warning.
 apart()
 {
@@ -74,7 +79,7 @@ apart a pure.obj unit.obj byte.obj
 apart b pure.obj unit.obj byte_as_unit.obj
 same b.nvdb a.nvdb
 apart a pure.obj byte.obj unit.obj
-apart b dark_as_unit.obj byte.obj unit.obj
+apart b pure.obj byte_as_unit.obj unit.obj
 same b.nvdb a.nvdb
 apart a byte.obj unit.obj
 apart b byte_as_unit.obj unit.obj
