@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "base/parallel.h"
+#include "base/text.h"
 #include "base/spill.h"
 
 /* CLUSTER_FACTOR: a level begins with clusters if it leaves at least this many times the triangles
@@ -259,16 +260,29 @@ done:
 static int number_materials(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
                             uint32_t **numbers)
 {
-    const struct fmt_tris_material *materials = header->materials;
-    int status =
-        bsq_alloc(ctx, "materials", header->material_count + 1U, sizeof **numbers, numbers);
-    for (uint32_t i = 0; i < header->material_count && status == 0; i++) {
-        const char *name = materials[i].name;
-        uint32_t same = name ? 0 : i;
-        while (same < i && (!materials[same].name || strcmp(materials[same].name, name) != 0))
-            same++;
-        (*numbers)[i] = same;
+    const uint64_t count = header->material_count + 1U;
+    struct bsq_tally tally = {0, 0};
+    struct bsq_texts names = {0};
+    uint32_t *firsts = NULL; /* materials that brought the names */
+    int status = 0;
+    BSQ_TRY(bsq_alloc(ctx, "materials", count, sizeof **numbers, numbers));
+    BSQ_TRY(bsq_alloc(ctx, "materials", count, sizeof *firsts, &firsts));
+    for (uint32_t i = 0; i < header->material_count; i++) {
+        const char *name = header->materials[i].name;
+        const uint64_t before = names.count;
+        uint64_t number = 0;
+        (*numbers)[i] = i;
+        if (!name)
+            continue;
+        BSQ_TRY(bsq_texts_add(ctx, &tally, &names, name, &number));
+        if (number == before)
+            firsts[number] = i;
+        (*numbers)[i] = firsts[number];
     }
+done:
+    bsq_texts_free(&names);
+    bsq_tally_release(ctx, &tally);
+    bsq_free(ctx, firsts);
     return status;
 }
 

@@ -137,13 +137,17 @@ static void join_vertices(struct vox_mesh *mesh, struct bsq_positions *table, ui
     mesh->vertex_count = count;
 }
 
+/* Returns the chain of a triangle: the mean of its corners, as a vertex may be in all triangles. */
+static uint32_t chain_of(const uint32_t corners[3])
+{
+    return (uint32_t)(((uint64_t)corners[0] + corners[1] + corners[2]) / 3);
+}
+
 /* Returns whether a triangle before `count` has the same corners, in any order. */
 static bool is_repeated(const struct vox_mesh *mesh, const uint32_t *first, const uint32_t *next,
                         const uint32_t corners[3])
 {
-    const uint32_t least = corners[0] < corners[1] ? corners[0] : corners[1];
-    for (uint32_t t = first[least < corners[2] ? least : corners[2]]; t != UINT32_MAX;
-         t = next[t]) {
+    for (uint32_t t = first[chain_of(corners)]; t != UINT32_MAX; t = next[t]) {
         unsigned same = 0;
         for (int i = 0; i < 3; i++)
             for (int k = 0; k < 3; k++)
@@ -154,8 +158,8 @@ static bool is_repeated(const struct vox_mesh *mesh, const uint32_t *first, cons
     return false;
 }
 
-/* Leaves triangles out that have no three corners or that are there already. first: of vertices,
- * the last triangle whose least corner it is; next: the one before that. */
+/* Leaves triangles out that have no three corners or that are there already. first: of chains, the
+ * last triangle; next: the one before that. */
 static void join_triangles(struct vox_mesh *mesh, const uint32_t *numbers, uint32_t *first,
                            uint32_t *next)
 {
@@ -168,8 +172,7 @@ static void join_triangles(struct vox_mesh *mesh, const uint32_t *numbers, uint3
         if (corners[0] == corners[1] || corners[1] == corners[2] || corners[2] == corners[0] ||
             is_repeated(mesh, first, next, corners))
             continue;
-        const uint32_t least = corners[0] < corners[1] ? corners[0] : corners[1];
-        uint32_t *chain = &first[least < corners[2] ? least : corners[2]];
+        uint32_t *chain = &first[chain_of(corners)];
         next[count] = *chain;
         *chain = count;
         vox_mesh_move_triangle(mesh, count, t);

@@ -14,6 +14,7 @@
 /* A vertex with one of its normals. */
 struct shaded {
     uint32_t vertex;
+    bool common; /* the normal of all its corners */
     float normal[3];
 };
 
@@ -27,11 +28,12 @@ struct writing {
     const struct fmt_tris_header *header;
     double least_cosine;
     double (*faces)[3];         /* unit normals */
+    double *angles;             /* of corners, in radians */
     uint32_t *starts, *corners; /* of each vertex: its corners are corners[starts[v]...] */
     struct shaded *shaded;      /* by vertices */
     uint32_t *shaded_of;        /* of corners */
     struct ordered *order;      /* triangles by their materials */
-    uint32_t *shaded_number;    /* in a primitive of a GLB file */
+    uint32_t *shaded_number;    /* in the last primitive of a GLB file that has it */
     uint32_t shaded_count;
     struct bsq_output *output;
     FILE *file; /* buffers what goes to the output */
@@ -39,7 +41,7 @@ struct writing {
     int status; /* of the output */
 };
 
-enum { BUFFER_BYTES = 1 << 18 };
+enum { BUFFER_BYTES = 1 << 18, CORNERS_CHECKED = 1 << 22 /* between two looks */ };
 
 /* ---- normals ---- */
 
@@ -91,8 +93,9 @@ static void list_corners(struct writing *w)
     w->starts[mesh->vertex_count] = 3 * mesh->triangle_count;
 }
 
-/* Sets the normal of a corner of a vertex. */
-static void corner_normal(const struct writing *w, uint32_t vertex, uint32_t corner, float out[3])
+/* Sets the normal of a corner of a vertex. Returns whether all its corners have the same one,
+ * because all are within the angle that is smooth. */
+static bool corner_normal(const struct writing *w, uint32_t vertex, uint32_t corner, float out[3])
 {
     const double *face = w->faces[corner / 3];
     double sum[3] = {0, 0, 0};
@@ -100,15 +103,15 @@ static void corner_normal(const struct writing *w, uint32_t vertex, uint32_t cor
         const double *other = w->faces[w->corners[i] / 3];
         if (bsq_dotd(face, other) < w->least_cosine && other != face)
             continue;
-        const double angle = angle_at(w->mesh, w->corners[i]);
         for (int k = 0; k < 3; k++)
-            sum[k] += angle * other[k];
+            sum[k] += w->angles[w->corners[i]] * other[k];
     }
     const double square = bsq_dotd(sum, sum);
     make_unit(sum);
     /* The triangles of a fold have no common normal. */
     for (int k = 0; k < 3; k++)
         out[k] = (float)(square > 1e-12 ? sum[k] : face[k]);
+    return w->least_cosine <= -1 && square > 1e-12;
 }
 
 /* Normals of equal sums have equal numbers. */
@@ -117,21 +120,33 @@ static bool is_same(const float a[3], const float b[3])
     return a[0] == b[0] && a[1] == b[1] && a[2] == b[2];
 }
 
-static void shade(struct writing *w)
+static int shade(struct writing *w)
 {
+    uint64_t looked = 0; /* at corners, since the last look at an interruption */
+    for (uint32_t c = 0; c < 3 * w->mesh->triangle_count; c++)
+        w->angles[c] = angle_at(w->mesh, c);
     for (uint32_t v = 0; v < w->mesh->vertex_count; v++) {
-        const uint32_t first = w->shaded_count;
-        for (uint32_t i = w->starts[v]; i < w->starts[v + 1]; i++) {
+        const uint32_t first = w->shaded_count, begin = w->starts[v], end = w->starts[v + 1];
+        for (uint32_t i = begin; i < end; i++) {
             struct shaded *entry = &w->shaded[w->shaded_count];
             uint32_t same = first;
             *entry = (struct shaded){.vertex = v};
-            corner_normal(w, v, w->corners[i], entry->normal);
+            /* If all edges are smooth, all corners have the same sum. */
+            if (i > begin && w->shaded[first].common)
+                memcpy(entry, &w->shaded[first], sizeof *entry);
+            else
+                entry->common = corner_normal(w, v, w->corners[i], entry->normal);
             while (same < w->shaded_count && !is_same(w->shaded[same].normal, entry->normal))
                 same++;
             w->shaded_of[w->corners[i]] = same;
             w->shaded_count += same == w->shaded_count;
+            looked += end - begin;
+            if (looked > CORNERS_CHECKED && bsq_check(w->ctx) < 0)
+                return BSQ_EINTR;
+            looked = looked > CORNERS_CHECKED ? 0 : looked;
         }
     }
+    return 0;
 }
 
 /* ---- files ---- */
@@ -250,26 +265,27 @@ static void write_ply(struct writing *w)
     }
 }
 
-/* Collects the vertices and indices of the GLB primitive that begins at triangle order[begin].
- * Returns its end. */
-static uint32_t collect_primitive(struct writing *w, uint32_t begin, float (*vertices)[6],
-                                  uint32_t *indices, struct fmt_glb_primitive *primitive)
+/* Collects the vertices and indices of the GLB primitive that begins at triangle order[begin],
+ * after `used` vertices of others. Returns its end. */
+static uint32_t collect_primitive(struct writing *w, uint32_t begin, uint32_t used,
+                                  float (*vertices)[6], uint32_t *indices,
+                                  struct fmt_glb_primitive *primitive)
 {
     uint32_t i = begin;
     *primitive = (struct fmt_glb_primitive){
         .shaded = (const float(*)[6])vertices, .indices = indices, .plain = !w->mesh->materials};
-    memset(w->shaded_number, 0xff, w->shaded_count * sizeof *w->shaded_number);
     do {
         for (int k = 0; k < 3; k++) {
             const uint32_t s = w->shaded_of[3 * (size_t)w->order[i].triangle + (size_t)k];
             const struct shaded *from = &w->shaded[s];
-            if (w->shaded_number[s] == UINT32_MAX) {
+            uint32_t *number = &w->shaded_number[s]; /* 1 + that of all primitives' vertices */
+            if (*number <= used) {
                 float *to = vertices[primitive->vertex_count];
                 memcpy(to, w->mesh->positions[from->vertex], 3 * sizeof *to);
                 memcpy(to + 3, from->normal, sizeof from->normal);
-                w->shaded_number[s] = primitive->vertex_count++;
+                *number = used + ++primitive->vertex_count;
             }
-            indices[primitive->index_count++] = w->shaded_number[s];
+            indices[primitive->index_count++] = *number - used - 1;
         }
     } while (++i < w->mesh->triangle_count && !is_first_of_material(w, i));
     return i;
@@ -293,14 +309,14 @@ static int write_glb(struct writing *w, const char *path)
     BSQ_TRY(bsq_calloc(w->ctx, "writing a mesh", most, sizeof *numbers, &numbers));
     BSQ_TRY(bsq_alloc(w->ctx, "writing a mesh", corners, sizeof *vertices, &vertices));
     BSQ_TRY(bsq_alloc(w->ctx, "writing a mesh", corners, sizeof *indices, &indices));
-    BSQ_TRY(bsq_alloc(w->ctx, "writing a mesh", w->shaded_count, sizeof *w->shaded_number,
-                      &w->shaded_number));
+    BSQ_TRY(bsq_calloc(w->ctx, "writing a mesh", w->shaded_count, sizeof *w->shaded_number,
+                       &w->shaded_number));
     for (uint32_t i = 0; i < w->mesh->triangle_count; glb.primitive_count++) {
         struct fmt_glb_primitive *primitive = &primitives[glb.primitive_count];
         if (w->mesh->materials)
             materials[glb.primitive_count].name =
                 material_name(w, w->order[i].material, numbers[glb.primitive_count]);
-        i = collect_primitive(w, i, vertices + used, indices + 3 * (size_t)i, primitive);
+        i = collect_primitive(w, i, used, vertices + used, indices + 3 * (size_t)i, primitive);
         used += primitive->vertex_count;
     }
     glb.primitives = primitives;
@@ -337,12 +353,15 @@ int vox_write_mesh(struct bsq_ctx *ctx, const char *path, const struct vox_mesh 
     struct writing w = {.ctx = ctx,
                         .mesh = mesh,
                         .header = header,
-                        .least_cosine = cos(hard_angle * 3.14159265358979323846 / 180)};
+                        /* below the cosines of all angles, which are rounded */
+                        .least_cosine =
+                            hard_angle < 180 ? cos(hard_angle * 3.14159265358979323846 / 180) : -2};
     int status = 0;
     BSQ_TRY(bsq_output_open(ctx, path, &w.output));
     BSQ_TRY(bsq_alloc(ctx, what, mesh->triangle_count, sizeof *w.faces, &w.faces));
     BSQ_TRY(bsq_calloc(ctx, what, (uint64_t)mesh->vertex_count + 1, sizeof *w.starts, &w.starts));
     BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.corners, &w.corners));
+    BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.angles, &w.angles));
     BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.shaded, &w.shaded));
     BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.shaded_of, &w.shaded_of));
     BSQ_TRY(bsq_alloc(ctx, what, mesh->triangle_count, sizeof *w.order, &w.order));
@@ -352,7 +371,7 @@ int vox_write_mesh(struct bsq_ctx *ctx, const char *path, const struct vox_mesh 
         bsq_sort(w.order, mesh->triangle_count, sizeof *w.order, compare_ordered);
     face_normals(&w);
     list_corners(&w);
-    shade(&w);
+    BSQ_TRY(shade(&w));
     if (strcasecmp(ending_of(path), ".glb") == 0)
         BSQ_TRY(write_glb(&w, path));
     else
@@ -362,6 +381,7 @@ done:
     bsq_free(ctx, w.buffer);
     bsq_free(ctx, w.shaded_of);
     bsq_free(ctx, w.shaded);
+    bsq_free(ctx, w.angles);
     bsq_free(ctx, w.corners);
     bsq_free(ctx, w.starts);
     bsq_free(ctx, w.faces);
