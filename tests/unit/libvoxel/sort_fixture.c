@@ -93,6 +93,15 @@ void expect_sorted(struct sort_fixture *f, int status)
         fail_msg("status %d: %s", status, bsq_error(f->ctx));
 }
 
+const char *sort_write_image(void)
+{
+    static const char png[] = "\x89PNG\r\n\x1a\n"
+                              "\0\0\0\rIHDR\0\0\0\1\0\0\0\1\x08\0\0\0\0\x3a\x7e\x9b\x55"
+                              "\0\0\0\nIDAT\x78\xda\x63\x68\0\0\0\x82\0\x81\xda\x45\x08\x3b"
+                              "\0\0\0\0IEND\xae\x42\x60\x82";
+    return test_bytes("wall.png", png, sizeof png - 1);
+}
+
 /* ---- triangles as a multiset ---- */
 
 void sorted_add(struct sorted_triangles *t, const struct sorted_triangle *one)

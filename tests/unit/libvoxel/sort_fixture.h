@@ -28,6 +28,8 @@ struct vox_sort_options sort_scan_obj(void);
 int sort_scan(struct sort_fixture *f);
 int sort_text(struct sort_fixture *f, const char *text);
 void expect_sorted(struct sort_fixture *f, int status);
+/* Writes an image of one texel, "wall.png". Returns its name. */
+const char *sort_write_image(void);
 
 struct sorted_corner {
     float position[3];

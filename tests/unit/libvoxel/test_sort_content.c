@@ -79,11 +79,6 @@ static void write_library(const char *text)
     test_text("scan.mtl", text);
 }
 
-static void write_texture(void)
-{
-    test_text("wall.png", "only its name matters here");
-}
-
 static const char materials_obj[] =
     "mtllib scan.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 0 0\nv 6 0 0\nv 5 1 0\n"
     "vt 0.25 0.75\nvt 0.5 0.5\n"
@@ -103,7 +98,7 @@ FIXTURE_TEST(materials_come_from_the_library)
     struct sorted_triangles got = {0};
     struct fmt_tris_header header;
     struct fmt_tris_file *file;
-    write_texture();
+    sort_write_image();
     write_library("newmtl red\nKd 1 0 0\nnewmtl wall\nKd 0.5 0.5 0.5\nmap_Kd wall.png\n"
                   "newmtl unused\nmap_Kd missing.png\n");
     expect_sorted(f, sort_text(f, materials_obj));

@@ -117,7 +117,7 @@ static struct losses write_scan(const char *path, bool damaged)
 static void sort_it(struct sort_fixture *f, unsigned way)
 {
     struct sort_limits limits;
-    const char *texture = test_text("wall.ppm", "P6\n1 1\n255\nabc");
+    const char *texture = sort_write_image();
     struct vox_sort_options options = sort_scan_obj();
     options.texture_path = texture;
     vox_sort_limits_for(128 * MIB, 2, &limits);

@@ -129,7 +129,7 @@ static void choose_limits(unsigned way, struct sort_limits *limits)
 static int sort_polygons(struct sort_fixture *f, unsigned flags, unsigned way)
 {
     struct sort_limits limits;
-    const char *texture = test_text("wall.png", "only its name matters here");
+    const char *texture = sort_write_image();
     struct vox_sort_options options = sort_scan_obj();
     options.texture_path = flags & TEXCOORDS ? texture : NULL;
     choose_limits(way, &limits);
