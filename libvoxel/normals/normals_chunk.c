@@ -67,6 +67,14 @@ static uint64_t slot_lay_out(const struct normals_run *run, uint8_t *memory, str
 
 /* ---- one-rings ---- */
 
+/* Gives each vertex a one-ring of its own. Without attributes, vertices of a chunk are at different
+ * positions; if two were not, both would be open, and be joined by position. */
+static void number_vertices(struct ring_slot *s)
+{
+    for (uint32_t v = 0; v < s->tris.vertex_count; v++)
+        s->ring_of[v] = v + 1;
+}
+
 /* Finds vertices at the same position. Most vertices find their slot of the table free, which
  * processors cannot predict. So the others are put off without a branch, and looked up after all
  * first ones have slots. */
@@ -195,7 +203,10 @@ static int visit_work(void *arg, void *slot, uint64_t sequence, unsigned worker)
     int status = fmt_tris_load(run->file, s->chunk, s->scratch, &s->tris);
     if (status < 0)
         return status;
-    weld_vertices(s);
+    if (s->tris.texcoords || s->tris.colors)
+        weld_vertices(s);
+    else
+        number_vertices(s);
     s->rings.positions = s->tris.positions;
     s->rings.triangles = s->tris.triangles;
     s->rings.ring_of = s->ring_of;
