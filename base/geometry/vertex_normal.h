@@ -16,30 +16,6 @@ enum { BSQ_VERTEX_NORMAL_BITS = 22, BSQ_VERTEX_RISE_SHIFT = 2 * BSQ_VERTEX_NORMA
 /* A vertex for whose triangles no normal stands. */
 #define BSQ_VERTEX_NORMAL_NONE UINT64_C(0)
 
-static inline uint64_t bsq_vertex_normal_code(double coordinate)
-{
-    const double one = (1 << (BSQ_VERTEX_NORMAL_BITS - 1)) - 1;
-    return (uint64_t)(int64_t)(floor(coordinate * one + 0.5) + one + 1);
-}
-
-/* Packs a direction of any length above 0, and a rise; one that is too large for a float is 0. */
-static inline uint64_t bsq_vertex_normal_pack(const double normal[3], float rise)
-{
-    const double sum = 1.0 / (fabs(normal[0]) + fabs(normal[1]) + fabs(normal[2]));
-    double x = normal[0] * sum, y = normal[1] * sum;
-    uint32_t bits;
-    if (normal[2] < 0.0) {
-        const double folded = copysign(1.0 - fabs(y), x);
-        y = copysign(1.0 - fabs(x), y);
-        x = folded;
-    }
-    rise = fabsf(rise) < 0x1p127f ? rise : 0.0f;
-    memcpy(&bits, &rise, sizeof bits);
-    bits += (1u << 11) - 1 + (bits >> 12 & 1); /* to the nearest number of 20 bits */
-    return bsq_vertex_normal_code(x) | bsq_vertex_normal_code(y) << BSQ_VERTEX_NORMAL_BITS |
-           (uint64_t)(bits >> 12) << BSQ_VERTEX_RISE_SHIFT;
-}
-
 /* Returns a coordinate from its bits. */
 static inline float bsq_vertex_normal_coordinate(uint64_t packed)
 {
