@@ -192,10 +192,6 @@ int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp,
  */
 int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
                         const struct bsq_file *temp, struct fmt_tris_file **out);
-/* Sets *one if the files can be joined without loss: all or none of them have normals, all or none
- * have colours, and they have ids of one kind. Errors: those of fmt_tris_open(). */
-int fmt_tris_can_join(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
-                      bool *one);
 /* Checks that a scan has ids. Errors: BSQ_EDATA, with the name of the file that prevents it. */
 int fmt_tris_require_ids(const struct fmt_tris_file *file);
 /* Checks alike that a scan has a channel, which all of its files must have. */

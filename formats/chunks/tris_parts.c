@@ -305,29 +305,6 @@ done:
     return status;
 }
 
-int fmt_tris_can_join(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count, bool *one)
-{
-    bool normals = false, colors = false;
-    enum fmt_ids ids = FMT_IDS_NONE;
-    int status = 0;
-    *one = true;
-    for (uint32_t i = 0; i < path_count && status == 0 && *one; i++) {
-        struct fmt_tris_file *file = NULL;
-        status = fmt_tris_open(ctx, paths[i], &file);
-        if (status < 0)
-            break;
-        const struct fmt_tris_header *header = &file->header;
-        const bool has_normals = header->attributes & FMT_TRIS_NORMALS;
-        const bool has_colors = fmt_tris_has_color(header);
-        *one = i == 0 || (has_normals == normals && has_colors == colors && header->ids == ids);
-        normals = has_normals;
-        colors = has_colors;
-        ids = header->ids;
-        fmt_tris_close(file);
-    }
-    return status;
-}
-
 /* Opens the parts with names, then the temporary one. */
 static int open_all(struct fmt_tris_file *all, const char *const *paths, uint32_t path_count,
                     const struct bsq_file *temp)
