@@ -26,18 +26,14 @@ struct bake_encoding {
     float background[3]; /* samples of texels without a value */
 };
 
-/* Statistics of the magnitudes of a map's values, over the valid texels of all its files. The sums
- * are exact: whole numbers of many digits, in units of the smallest float and of its square. So
- * they do not depend on the order of the values, nor on who adds which of them. */
+/* Statistics of the magnitudes of a map's values, over the valid texels of all its files. */
 struct bake_statistics {
     uint64_t count;
-    double largest;
-    uint64_t sum[5], squares[10];
+    double largest, sum, squares;
 };
 
-/* Add a value; the statistics of other texels. */
+/* Adds a value. */
 void bake_statistics_add_value(struct bake_statistics *to, float value);
-void bake_statistics_add(struct bake_statistics *to, const struct bake_statistics *more);
 /* Return the mean of the magnitudes, and of their squares; 0 without texels. */
 double bake_statistics_mean(const struct bake_statistics *statistics);
 double bake_statistics_mean_square(const struct bake_statistics *statistics);

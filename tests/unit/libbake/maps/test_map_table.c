@@ -78,31 +78,47 @@ static struct bake_encoder encoder_for(unsigned number, const struct bake_traced
     return encoder;
 }
 
-/* Sums are exact: also of values of very different sizes, in any order, and in parts. */
-TEST(test_statistics_do_not_depend_on_the_order)
+/* Returns the statistics of an image of a measured map; every third texel is not valid. */
+static struct bake_statistics measure(unsigned number, unsigned threads, uint64_t image_bytes)
 {
-    static const float values[] = {1e30f, -3.5f, 1e-40f, 0.1f, -1e30f, 3e38f, 1.0f / 3, 0.0f};
-    enum { COUNT = sizeof values / sizeof *values };
-    struct bake_statistics all = {0}, parts[2] = {0};
-    long double sum = 0, squares = 0;
-    for (int i = 0; i < COUNT; ++i) {
-        bake_statistics_add_value(&all, values[i]);
-        bake_statistics_add_value(&parts[i % 2], values[COUNT - 1 - i]);
-        sum += fabsl((long double)values[i]);
-        squares += (long double)values[i] * values[i];
+    enum { WIDTH = 37, HEIGHT = 600 };
+    struct bsq_ctx *ctx = test_context(threads, 0);
+    struct bake_statistics statistics[BK_MAP_COUNT] = {0};
+    const struct bake_image_options options = {.width = WIDTH,
+                                               .height = HEIGHT,
+                                               .channels = bake_image_channels_for(1u << number),
+                                               .memory_bytes = image_bytes,
+                                               .beside = "map.exr"};
+    struct bake_image *image;
+    assert_int_equal(bake_image_create(ctx, &options, &image), 0);
+    for (uint32_t i = 0; i < WIDTH * HEIGHT; ++i) {
+        float texel[64] = {i % 3 > 0 ? 1.0f : BAKE_MISSED};
+        texel[bake_map_offset(1u << number, number)] = (i % 2 ? -1.0f : 1.0f) / (float)(1 + i);
+        assert_int_equal(bake_image_write(image, i % WIDTH, i / WIDTH, 1, 1, texel), 0);
     }
-    bake_statistics_add(&parts[1], &parts[0]);
-    assert_memory_equal(&all, &parts[1], sizeof all);
-    assert_int_equal(all.count, COUNT);
-    assert_true(all.largest == 3e38f);
-    assert_true(bake_statistics_mean(&all) == (double)sum / COUNT);
-    assert_true(bake_statistics_mean_square(&all) == (double)squares / COUNT);
-    /* The smallest digits are there as well. */
-    struct bake_statistics small = {0};
-    for (int i = 0; i < 1 << 20; ++i)
-        bake_statistics_add_value(&small, 1e-45f);
-    assert_true(bake_statistics_mean(&small) == (double)1e-45f);
-    assert_true(bake_statistics_mean_square(&small) == (double)1e-45f * (double)1e-45f);
+    assert_int_equal(bake_image_measure(ctx, image, 1u << number, statistics), 0);
+    bake_image_free(image);
+    test_context_end(ctx);
+    return statistics[number];
+}
+
+TEST(test_statistics_do_not_depend_on_threads_or_memory)
+{
+    unsigned number = 0;
+    while (!bake_map_table[number].measured)
+        number++;
+    const struct bake_statistics one = measure(number, 1, 1 << 30), more = measure(number, 5, 0);
+    double sum = 0, squares = 0;
+    for (uint32_t i = 0; i < 37 * 600; ++i) {
+        const double value = i % 3 > 0 ? (double)(1.0f / (float)(1 + i)) : 0;
+        sum += value;
+        squares += value * value;
+    }
+    assert_memory_equal(&one, &more, sizeof one);
+    assert_int_equal(one.count, 37 * 400);
+    assert_true(one.largest == 0.5);
+    assert_true(fabs(bake_statistics_mean(&one) * 37 * 400 / sum - 1) < 1e-12);
+    assert_true(fabs(bake_statistics_mean_square(&one) * 37 * 400 / squares - 1) < 1e-12);
 }
 
 TEST(test_attributes_fit_their_list)
