@@ -51,8 +51,8 @@ struct work {
     /* Probes that have found nothing, and the rays of some of them: one, or two that lean outwards
      * and inwards. */
     uint32_t *listed, *ray_objects, each;
-    struct bake_exact_ray *rays;
-    struct bake_exact_hit *hits;
+    struct bake_ray *rays;
+    struct bake_hit *hits;
 };
 
 /* ---- rays ---- */
@@ -92,7 +92,7 @@ static float distance_of(const struct work *work, uint32_t number)
 }
 
 /* Makes the ray of a probe, which leans outwards by 45 degrees if `lean` is 1, inwards if -1. */
-static struct bake_exact_ray probe_ray(const struct work *work, uint64_t probe, float lean)
+static struct bake_ray probe_ray(const struct work *work, uint64_t probe, float lean)
 {
     const uint64_t texel = probe / PROBES;
     const uint32_t number = (uint32_t)(probe % PROBES);
@@ -101,22 +101,22 @@ static struct bake_exact_ray probe_ray(const struct work *work, uint64_t probe, 
     const struct bsq_vec3 n = normal_of(work, texel), out = outwards(n, number);
     const struct bsq_vec3 d = bsq_unit3(curvature_add(n, lean, out));
     const float distance = distance_of(work, number);
-    return (struct bake_exact_ray){{(float)((double)(position[0] + distance * out.x) / unit),
-                                    (float)((double)(position[1] + distance * out.y) / unit),
-                                    (float)((double)(position[2] + distance * out.z) / unit)},
-                                   {d.x, d.y, d.z}};
+    return (struct bake_ray){{(float)((double)(position[0] + distance * out.x) / unit),
+                              (float)((double)(position[1] + distance * out.y) / unit),
+                              (float)((double)(position[2] + distance * out.z) / unit)},
+                             {d.x, d.y, d.z}};
 }
 
 /* Sets a probe to the hit of its ray, unless the surface there faces the other way. */
-static void curvature_take_hit(const struct work *work, uint64_t probe,
-                               const struct bake_exact_ray *ray, const struct bake_exact_hit *hit)
+static void curvature_take_hit(const struct work *work, uint64_t probe, const struct bake_ray *ray,
+                               const struct bake_hit *hit)
 {
     const uint32_t number = (uint32_t)(probe % PROBES);
     const struct bsq_vec3 d = bsq_v3(ray->direction[0], ray->direction[1], ray->direction[2]);
     const struct bsq_vec3 normal = bsq_v3(hit->normal[0], hit->normal[1], hit->normal[2]);
     const struct bsq_vec3 out = outwards(normal_of(work, probe / PROBES), number);
     const float distance = distance_of(work, number);
-    if (hit->triangle == BAKE_EXACT_NONE || !(bsq_dot3(normal, d) > 0.0f))
+    if (hit->triangle == BAKE_NO_HIT || !(bsq_dot3(normal, d) > 0.0f))
         return;
     work->probes[probe] =
         (struct probe){curvature_add(bsq_v3(distance * out.x, distance * out.y, distance * out.z),
@@ -154,10 +154,9 @@ static int take_probes(void *arg, uint64_t begin, uint64_t end, unsigned worker)
     const struct work *work = task->work;
     for (uint64_t i = begin; i < end; ++i) {
         const uint64_t outer = work->each * i;
-        const struct bake_exact_hit *hits = &work->hits[outer];
-        const bool inner =
-            work->each == 2 && hits[1].triangle != BAKE_EXACT_NONE &&
-            (hits[0].triangle == BAKE_EXACT_NONE || fabs(hits[1].t) < fabs(hits[0].t));
+        const struct bake_hit *hits = &work->hits[outer];
+        const bool inner = work->each == 2 && hits[1].triangle != BAKE_NO_HIT &&
+                           (hits[0].triangle == BAKE_NO_HIT || fabs(hits[1].t) < fabs(hits[0].t));
         curvature_take_hit(work, task->probes[i], &work->rays[outer + inner], &hits[inner]);
     }
     return 0;

@@ -79,7 +79,7 @@ struct bake_exact_needs bake_exact_expect(const struct bake_exact *exact, uint32
 
 /* Traces a batch on all threads. Must not be called from parallel work. Errors: BSQ_EDATA for a
  * damaged chunk, BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
-int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *batch);
+int bake_exact_trace(struct bake_exact *exact, const struct bake_ray_batch *batch);
 
 /* ---- secondary rays ---- */
 

@@ -24,7 +24,7 @@ struct worker {
 
 struct sorting {
     const struct bake_exact *exact;
-    const struct bake_exact_batch *batch;
+    const struct bake_ray_batch *batch;
     uint64_t first, count; /* bundles of the batch */
     uint64_t segment_bundles;
     uint32_t segments;
@@ -65,14 +65,14 @@ uint64_t bake_exact_buckets_scratch_bytes(const struct bake_exact *exact)
 
 /* Returns a box around the parts of rays [begin, end) where hits count, with a margin for rounding
  * errors. */
-static struct exact_box box_of_rays(const struct bake_exact_batch *batch, uint64_t begin,
+static struct exact_box box_of_rays(const struct bake_ray_batch *batch, uint64_t begin,
                                     uint64_t end)
 {
     double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
     const double longest = fmax(fabs(batch->t_min), fabs(batch->t_max));
     struct exact_box box = EXACT_EMPTY_BOX;
     struct exact_line line;
-    for (const struct bake_exact_ray *ray = batch->rays + begin; ray < batch->rays + end; ray++)
+    for (const struct bake_ray *ray = batch->rays + begin; ray < batch->rays + end; ray++)
         for (int k = exact_line_set(&line, ray->origin, ray->direction) ? 0 : 3; k < 3; k++) {
             const double o = (double)ray->origin[k], d = (double)exact_component(ray->direction[k]);
             const double a = o + d * batch->t_min, b = o + d * batch->t_max;
@@ -95,7 +95,7 @@ static uint32_t buckets_find_candidates(const struct sorting *s, uint64_t begin,
                                         const struct worker *worker)
 {
     struct exact_box *box =
-        &s->buckets->around[(begin / BAKE_EXACT_BUNDLE - s->first) / EXACT_SORTED];
+        &s->buckets->around[(begin / BAKE_RAY_BUNDLE - s->first) / EXACT_SORTED];
     if (!s->writing)
         *box = box_of_rays(s->batch, begin, end);
     const uint32_t first = s->batch->sweep ? s->batch->first_chunk : 0;
@@ -123,7 +123,7 @@ static uint32_t buckets_find_candidates(const struct sorting *s, uint64_t begin,
 /* Returns the number after the last ray of bundle `end` - 1. */
 static uint64_t rays_end(const struct sorting *s, uint64_t end)
 {
-    const uint64_t rays = end * BAKE_EXACT_BUNDLE;
+    const uint64_t rays = end * BAKE_RAY_BUNDLE;
     return rays < s->batch->count ? rays : s->batch->count;
 }
 
@@ -132,8 +132,8 @@ static uint64_t rays_end(const struct sorting *s, uint64_t end)
 static uint32_t find_crossed(const struct sorting *s, uint64_t bundle, uint32_t candidates,
                              const struct worker *worker)
 {
-    const struct bake_exact_batch *batch = s->batch;
-    const uint64_t first = bundle * BAKE_EXACT_BUNDLE;
+    const struct bake_ray_batch *batch = s->batch;
+    const uint64_t first = bundle * BAKE_RAY_BUNDLE;
     const bool noted = candidates <= 8 * sizeof *s->buckets->found;
     uint16_t *note = &s->buckets->found[bundle - s->first];
     uint32_t crossed = 0;
@@ -177,7 +177,7 @@ static int sort_segment(void *arg, uint64_t segment, unsigned number)
     int status = 0;
     for (; begin < end && (status = bsq_check(s->exact->ctx)) == 0; begin += EXACT_SORTED) {
         uint64_t stop = begin + EXACT_SORTED < end ? begin + EXACT_SORTED : end;
-        uint32_t candidates = buckets_find_candidates(s, (s->first + begin) * BAKE_EXACT_BUNDLE,
+        uint32_t candidates = buckets_find_candidates(s, (s->first + begin) * BAKE_RAY_BUNDLE,
                                                       rays_end(s, s->first + stop), &worker);
         for (uint64_t b = begin; candidates > 0 && b < stop; b++)
             sort_bundle(s, s->first + b, candidates, &worker, counts);
@@ -240,7 +240,7 @@ static int sort_rays(struct sorting *s)
     return run_segments(s);
 }
 
-int bake_exact_sort_rays(const struct bake_exact *exact, const struct bake_exact_batch *batch,
+int bake_exact_sort_rays(const struct bake_exact *exact, const struct bake_ray_batch *batch,
                          uint64_t first, uint64_t *count, struct exact_buckets *buckets)
 {
     struct bsq_ctx *ctx = exact->ctx;

@@ -55,12 +55,12 @@ static void trace_kind(const struct pass *pass, const bk_viewpoint *viewpoint, u
     struct exact_limits limits = {
         .two_sided = open, .facing_origin = viewpoint->side < 0, .any = any};
     for (uint32_t i = 0; i < kind.count; i++) {
-        struct exact_best best = {.triangle = BAKE_EXACT_NONE};
+        struct exact_best best = {.triangle = BAKE_NO_HIT};
         if (any && hidden[i / 64] >> (i % 64) & 1)
             continue;
         const bk_vec3 from = bk_ray_start(&kind, viewpoint);
         const bk_vec3w d = bk_ray_directions(&kind, viewpoint, i);
-        const struct bake_exact_ray ray = {{from.x, from.y, from.z}, {d.x, d.y, d.z}};
+        const struct bake_ray ray = {{from.x, from.y, from.z}, {d.x, d.y, d.z}};
         limits.t_max = (double)(any ? kind.limit : fminf(distances[i], kind.limit));
         if (BSQ_SIMD_PICK(look->exact->simd, bake_exact_group_trace)(&look->group, &ray, &limits,
                                                                      &best))

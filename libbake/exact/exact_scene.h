@@ -38,7 +38,7 @@ static inline uint64_t exact_transfer_floats(const struct bake_exact *exact)
 
 /* Returns the number after the last chunk that a batch meets. */
 static inline uint32_t exact_end_chunk(const struct bake_exact *exact,
-                                       const struct bake_exact_batch *batch)
+                                       const struct bake_ray_batch *batch)
 {
     return batch->sweep ? batch->end_chunk : exact->chunk_count;
 }
@@ -144,16 +144,16 @@ static inline bool exact_wins(double t, uint64_t triangle, double other_t, uint6
 /* Limits that a hit must meet to count. */
 struct exact_limits {
     double t_min, t_max, gap;
-    bool facing_origin, two_sided; /* as in struct bake_exact_batch and bake_exact_options */
+    bool facing_origin, two_sided; /* as in struct bake_ray_batch and bake_exact_options */
     bool any;                      /* the first hit that is found will do */
-    bool from_reach;               /* as in struct bake_exact_batch */
+    bool from_reach;               /* as in struct bake_ray_batch */
 };
 
-/* Replaces best[i] of `count` rays, at most BAKE_EXACT_BUNDLE, by the nearest hit among the chunk's
+/* Replaces best[i] of `count` rays, at most BAKE_RAY_BUNDLE, by the nearest hit among the chunk's
  * triangles, if that wins. Returns a bit mask of the rays whose hit was replaced. first: number of
  * the chunk's first triangle. */
 typedef unsigned bake_exact_slot_trace_fn(const struct exact_slot *slot, uint64_t first,
-                                          const struct bake_exact_ray *rays, uint32_t count,
+                                          const struct bake_ray *rays, uint32_t count,
                                           const struct exact_limits *limits,
                                           struct exact_best *best);
 BSQ_SIMD_DECLARE(bake_exact_slot_trace_fn, bake_exact_slot_trace);
@@ -166,15 +166,14 @@ struct exact_group {
 };
 
 /* Does what bake_exact_slot_trace() does with the triangles of all slots of the group. */
-typedef bool bake_exact_group_trace_fn(const struct exact_group *group,
-                                       const struct bake_exact_ray *ray,
+typedef bool bake_exact_group_trace_fn(const struct exact_group *group, const struct bake_ray *ray,
                                        const struct exact_limits *limits, struct exact_best *best);
 BSQ_SIMD_DECLARE(bake_exact_group_trace_fn, bake_exact_group_trace);
 
-/* Writes the numbers of the boxes that rays, at most BAKE_EXACT_BUNDLE, cross between t_min and
+/* Writes the numbers of the boxes that rays, at most BAKE_RAY_BUNDLE, cross between t_min and
  * t_max to out[], ascending, and returns their count. Boxes near the rays may be among them. boxes:
  * `count` of them, by eights. out: space for count + 7 numbers. */
-typedef uint32_t bake_exact_crossed_fn(const struct bake_exact_ray *rays, uint32_t ray_count,
+typedef uint32_t bake_exact_crossed_fn(const struct bake_ray *rays, uint32_t ray_count,
                                        double t_min, double t_max, const struct exact_box8 *boxes,
                                        uint32_t count, uint32_t *out);
 BSQ_SIMD_DECLARE(bake_exact_crossed_fn, bake_exact_crossed);
@@ -201,7 +200,7 @@ struct exact_buckets {
 /* Returns the number of bundles that a number of rays is. */
 static inline uint64_t exact_bundles(uint64_t rays)
 {
-    return (rays + BAKE_EXACT_BUNDLE - 1) / BAKE_EXACT_BUNDLE;
+    return (rays + BAKE_RAY_BUNDLE - 1) / BAKE_RAY_BUNDLE;
 }
 
 /* Returns how many entries buckets should have for a batch. If its rays cross more chunks than
@@ -213,7 +212,7 @@ static inline uint64_t exact_bucket_entries(const struct bake_exact *exact, uint
 
 /* Sorts bundles [first, first + *count) of a batch into the buckets. If they do not fit, lowers
  * *count until they do. Errors: BSQ_ENOMEM, BSQ_EINTR. */
-int bake_exact_sort_rays(const struct bake_exact *exact, const struct bake_exact_batch *batch,
+int bake_exact_sort_rays(const struct bake_exact *exact, const struct bake_ray_batch *batch,
                          uint64_t first, uint64_t *count, struct exact_buckets *buckets);
 /* Returns the bytes that sorting needs besides the buckets. */
 uint64_t bake_exact_buckets_scratch_bytes(const struct bake_exact *exact);
@@ -230,6 +229,6 @@ struct bake_exact_sweep {
 /* Evaluates the normal and colour of a ray's hit, which must lie in the slot's chunk. Tracing left
  * its barycentric weights in normal[0] and normal[1]. */
 int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *slot,
-                     const struct bake_exact_batch *batch, uint64_t ray);
+                     const struct bake_ray_batch *batch, uint64_t ray);
 
 #endif

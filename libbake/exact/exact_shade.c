@@ -18,7 +18,7 @@ struct place {
 };
 
 static void shade_set_place(struct place *place, const struct exact_slot *slot, uint32_t triangle,
-                            const struct bake_exact_hit *hit)
+                            const struct bake_hit *hit)
 {
     const struct fmt_tris_chunk *chunk = &slot->chunk;
     place->slot = slot;
@@ -135,9 +135,9 @@ static __attribute__((noinline)) int shade_add_normal_map(const struct bake_exac
 
 /* Sets the side of the triangle that the ray met, and whether that is the scan's back. */
 static void set_side(const struct bake_exact *exact, const struct place *place,
-                     const struct bake_exact_batch *batch, uint64_t ray)
+                     const struct bake_ray_batch *batch, uint64_t ray)
 {
-    struct bake_exact_hit *hit = &batch->hits[ray];
+    struct bake_hit *hit = &batch->hits[ray];
     const float *d = batch->rays[ray].direction;
     const double direction[3] = {(double)d[0], (double)d[1], (double)d[2]};
     const bool along = bsq_dotd(place->cross, direction) > 0;
@@ -154,9 +154,8 @@ static void set_side(const struct bake_exact *exact, const struct place *place,
 
 /* Computes the width of a ray's footprint in texture space: the steps along the map's rows and
  * columns are projected along the ray onto the plane of the triangle. */
-static void footprint(const struct place *place, const struct bake_exact_ray *ray,
-                      const struct bake_exact_footprint *step, const float (*uv)[2],
-                      double width[2])
+static void footprint(const struct place *place, const struct bake_ray *ray,
+                      const struct bake_footprint *step, const float (*uv)[2], double width[2])
 {
     /* At grazing angles the projected steps would grow without limit. */
     const double flattest = 0.25;
@@ -192,7 +191,7 @@ static void footprint(const struct place *place, const struct bake_exact_ray *ra
  * their origin. */
 static struct fmt_shading_footprint texture_footprint(const struct bake_exact *exact,
                                                       const struct place *place,
-                                                      const struct bake_exact_batch *batch,
+                                                      const struct bake_ray_batch *batch,
                                                       uint64_t ray)
 {
     const struct fmt_tris_chunk *chunk = &place->slot->chunk;
@@ -242,10 +241,10 @@ static int shade_color(const struct bake_exact *exact, const struct place *place
 }
 
 int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *slot,
-                     const struct bake_exact_batch *batch, uint64_t ray)
+                     const struct bake_ray_batch *batch, uint64_t ray)
 {
     const struct fmt_shading *shading = &exact->shading;
-    struct bake_exact_hit *hit = &batch->hits[ray];
+    struct bake_hit *hit = &batch->hits[ray];
     struct place place;
     int status = 0;
     shade_set_place(&place, slot,

@@ -65,7 +65,7 @@ enum { BUCKET_BYTES = sizeof(uint32_t) + sizeof(uint16_t), BUCKET_BYTES_A_RAY = 
 /* Returns the bytes of a ray of a batch, with its hit. */
 static uint64_t ray_bytes(const struct bake_exact *exact)
 {
-    return sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit) +
+    return sizeof(struct bake_ray) + sizeof(struct bake_hit) +
            (bake_exact_wants_footprints(exact) ? sizeof(uint32_t) : 0) +
            exact_transfer_floats(exact) * sizeof(float) + BUCKET_BYTES_A_RAY;
 }
@@ -87,7 +87,7 @@ uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes
     const uint64_t fixed =
         plan_slots(exact, exact_wave_slots(exact), false, threads, left / 4).bytes +
         bake_exact_buckets_scratch_bytes(exact) + (exact->chunk_count + 1) * sizeof(uint64_t) +
-        (exact_bucket_entries(exact, 0) + BAKE_EXACT_BUNDLE) * BUCKET_BYTES +
+        (exact_bucket_entries(exact, 0) + BAKE_RAY_BUNDLE) * BUCKET_BYTES +
         EXACT_LOCKS * sizeof(pthread_mutex_t);
     const uint64_t ray = ray_bytes(exact) + more_bytes;
     /* An eighth is left to other parts of the job. */

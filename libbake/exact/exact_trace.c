@@ -28,7 +28,7 @@ struct block {
 
 struct wave {
     struct bake_exact *exact;
-    const struct bake_exact_batch *batch;
+    const struct bake_ray_batch *batch;
     struct exact_buckets *buckets;
     struct exact_limits limits;
     pthread_mutex_t *locks; /* EXACT_LOCKS, each for the hits of some bundles */
@@ -57,7 +57,7 @@ each_hit(const struct wave *wave, struct exact_slot *slot, uint64_t begin, uint6
     for (uint64_t i = begin; i < end; i++)
         for (unsigned left = buckets->found[i]; left && status == 0; left &= left - 1) {
             const uint64_t ray =
-                (uint64_t)buckets->bundles[i] * BAKE_EXACT_BUNDLE + (unsigned)__builtin_ctz(left);
+                (uint64_t)buckets->bundles[i] * BAKE_RAY_BUNDLE + (unsigned)__builtin_ctz(left);
             if (in_chunk(wave->exact, slot->number, wave->batch->hits[ray].triangle))
                 status = take(wave, slot, ray);
         }
@@ -96,15 +96,15 @@ static int load_slot_normals(void *arg, uint64_t index, unsigned worker)
 /* The rays of a bundle that have a direction, and their hits so far. */
 struct bundle {
     uint32_t count;
-    uint8_t numbers[BAKE_EXACT_BUNDLE]; /* in the bundle */
-    struct bake_exact_ray rays[BAKE_EXACT_BUNDLE];
-    struct exact_best best[BAKE_EXACT_BUNDLE];
+    uint8_t numbers[BAKE_RAY_BUNDLE]; /* in the bundle */
+    struct bake_ray rays[BAKE_RAY_BUNDLE];
+    struct exact_best best[BAKE_RAY_BUNDLE];
 };
 
-static void get_bundle(const struct bake_exact_batch *batch, uint64_t first, struct bundle *out)
+static void get_bundle(const struct bake_ray_batch *batch, uint64_t first, struct bundle *out)
 {
     out->count = 0;
-    for (uint64_t ray = first; ray < batch->count && ray < first + BAKE_EXACT_BUNDLE; ray++) {
+    for (uint64_t ray = first; ray < batch->count && ray < first + BAKE_RAY_BUNDLE; ray++) {
         const float *d = batch->rays[ray].direction;
         if (d[0] == 0.0f && d[1] == 0.0f && d[2] == 0.0f)
             continue;
@@ -118,9 +118,9 @@ static void get_bundle(const struct bake_exact_batch *batch, uint64_t first, str
 }
 
 /* Takes a hit of a ray, unless another chunk has found a better one meanwhile. */
-static void trace_take_hit(struct bake_exact_hit *hit, const struct exact_best *best)
+static void trace_take_hit(struct bake_hit *hit, const struct exact_best *best)
 {
-    if (hit->triangle != BAKE_EXACT_NONE &&
+    if (hit->triangle != BAKE_NO_HIT &&
         !exact_wins(best->t, best->triangle, hit->t, hit->triangle, best->reach))
         return;
     hit->t = best->t;
@@ -133,7 +133,7 @@ static void trace_take_hit(struct bake_exact_hit *hit, const struct exact_best *
 static void trace_trace_bundle(struct wave *wave, const struct exact_slot *slot, uint64_t entry)
 {
     const uint32_t number = wave->buckets->bundles[entry];
-    const uint64_t first = (uint64_t)number * BAKE_EXACT_BUNDLE;
+    const uint64_t first = (uint64_t)number * BAKE_RAY_BUNDLE;
     pthread_mutex_t *lock = &wave->locks[number % EXACT_LOCKS];
     struct bundle bundle;
     unsigned found = 0;
@@ -160,7 +160,7 @@ static void trace_trace_bundle(struct wave *wave, const struct exact_slot *slot,
 /* Spreads the progress of the batch evenly over the entries of the buckets in the first pass. */
 static void trace_add_progress(const struct wave *wave, const struct block *block)
 {
-    const struct bake_exact_batch *batch = wave->batch;
+    const struct bake_ray_batch *batch = wave->batch;
     const double pairs = (double)wave->buckets->starts[wave->exact->chunk_count];
     const double part = (double)wave->bundle_count / (double)exact_bundles(batch->count) / pairs;
     bsq_progress_add_share(wave->exact->ctx, batch->progress, part * (double)block->begin,
@@ -323,9 +323,9 @@ done:
 static int clear_hits(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     (void)worker;
-    const struct bake_exact_batch *batch = arg;
+    const struct bake_ray_batch *batch = arg;
     for (uint64_t i = begin; i < end; i++)
-        batch->hits[batch->continued + i] = (struct bake_exact_hit){.triangle = BAKE_EXACT_NONE};
+        batch->hits[batch->continued + i] = (struct bake_hit){.triangle = BAKE_NO_HIT};
     return 0;
 }
 
@@ -342,7 +342,7 @@ done:
     return status;
 }
 
-int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *batch)
+int bake_exact_trace(struct bake_exact *exact, const struct bake_ray_batch *batch)
 {
     struct bsq_ctx *ctx = exact->ctx;
     struct exact_buckets buckets = {0};

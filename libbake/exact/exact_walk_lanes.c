@@ -21,7 +21,7 @@ struct trace {
     const struct exact_slot *slot;
     uint64_t first;
     const struct exact_limits *limits;
-    const struct bake_exact_ray *ray;
+    const struct bake_ray *ray;
     struct exact_line line;
     struct exact_shear shear; /* set for the first triangle: many rays meet none */
     bool sheared;
@@ -37,7 +37,7 @@ static void set_span(struct range *range, const struct exact_best *best,
 {
     const double reach = best->reach, t = best->t;
     double begin = limits->t_min, end = range->t_max;
-    if (best->triangle != BAKE_EXACT_NONE) {
+    if (best->triangle != BAKE_NO_HIT) {
         const double least = t <= reach ? t : -t, most = t > reach || -t > reach ? fabs(t) : reach;
         begin = begin > least ? begin : least;
         end = end < most ? end : most;
@@ -74,7 +74,7 @@ static void walk_try_triangle(struct trace *trace, uint32_t triangle)
         !(crossing.t >= limits->t_min && crossing.t <= trace->range.t_max) ||
         fabs(crossing.t) < limits->gap)
         return;
-    if (best->triangle != BAKE_EXACT_NONE &&
+    if (best->triangle != BAKE_NO_HIT &&
         !exact_wins(crossing.t, number, best->t, best->triangle, best->reach))
         return;
     if (!limits->two_sided) {
@@ -205,8 +205,8 @@ struct beam {
 
 /* Sets the planes of a beam so that they enclose the parts of all rays. Returns false if a ray is
  * too flat between them. */
-static bool set_planes(struct beam *beam, const struct bake_exact_ray *rays, uint32_t count,
-                       double t_min, double t_max)
+static bool set_planes(struct beam *beam, const struct bake_ray *rays, uint32_t count, double t_min,
+                       double t_max)
 {
     const float flattest = 0.25f, *d = rays->direction;
     double low = INFINITY, high = -INFINITY;
@@ -232,8 +232,7 @@ static bool set_planes(struct beam *beam, const struct bake_exact_ray *rays, uin
 
 /* Sets the sides along an axis, farther out than all roundings can move them: these are fewer than
  * ten, each of 2^-24 of a coordinate. */
-static bool set_sides(struct beam *beam, const struct bake_exact_ray *rays, uint32_t count,
-                      int axis)
+static bool set_sides(struct beam *beam, const struct bake_ray *rays, uint32_t count, int axis)
 {
     const double begin = (double)beam->begin, end = (double)beam->end;
     const int k = beam->axes[axis], kz = beam->kz;
@@ -258,8 +257,8 @@ static bool set_sides(struct beam *beam, const struct bake_exact_ray *rays, uint
     return isfinite(slack);
 }
 
-static bool set_beam(struct beam *beam, const struct bake_exact_ray *rays, uint32_t count,
-                     double t_min, double t_max)
+static bool set_beam(struct beam *beam, const struct bake_ray *rays, uint32_t count, double t_min,
+                     double t_max)
 {
     if (!set_planes(beam, rays, count, t_min, t_max))
         return false;
@@ -361,7 +360,7 @@ static void try_runs(struct trace *trace, struct runs *runs)
 }
 
 unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uint64_t first,
-                                              const struct bake_exact_ray *rays, uint32_t count,
+                                              const struct bake_ray *rays, uint32_t count,
                                               const struct exact_limits *limits,
                                               struct exact_best *best)
 {
@@ -384,7 +383,7 @@ unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uin
         trace.sheared = trace.improved = trace.done = false;
         if (!exact_line_set(&trace.line, rays[i].origin, rays[i].direction))
             continue;
-        if (best[i].triangle != BAKE_EXACT_NONE) {
+        if (best[i].triangle != BAKE_NO_HIT) {
             trace.range = range_of(&best[i], limits);
         } else {
             if (best[i].reach != reach)
@@ -402,7 +401,7 @@ unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uin
 }
 
 bool BSQ_SIMD_NAME(bake_exact_group_trace)(const struct exact_group *group,
-                                           const struct bake_exact_ray *ray,
+                                           const struct bake_ray *ray,
                                            const struct exact_limits *limits,
                                            struct exact_best *best)
 {
@@ -418,8 +417,8 @@ bool BSQ_SIMD_NAME(bake_exact_group_trace)(const struct exact_group *group,
 }
 
 /* Returns a bit mask of eight boxes that any of the rays crosses. */
-static unsigned rays_cross(const struct bake_exact_ray *rays, uint32_t count, double t_min,
-                           double t_max, const struct exact_box8 *boxes)
+static unsigned rays_cross(const struct bake_ray *rays, uint32_t count, double t_min, double t_max,
+                           const struct exact_box8 *boxes)
 {
     const struct exact_span span = exact_span_of(t_min, t_max);
     struct exact_line line;
@@ -431,7 +430,7 @@ static unsigned rays_cross(const struct bake_exact_ray *rays, uint32_t count, do
     return bits;
 }
 
-uint32_t BSQ_SIMD_NAME(bake_exact_crossed)(const struct bake_exact_ray *rays, uint32_t ray_count,
+uint32_t BSQ_SIMD_NAME(bake_exact_crossed)(const struct bake_ray *rays, uint32_t ray_count,
                                            double t_min, double t_max,
                                            const struct exact_box8 *boxes, uint32_t count,
                                            uint32_t *out)

@@ -69,7 +69,7 @@ static double side_length(const float *distances, size_t count, double sign, dou
 static size_t add_distances(const struct fit *fit, uint32_t rays, size_t count)
 {
     for (uint32_t i = 0; i < rays; ++i)
-        if (fit->hits[i].triangle != BAKE_EXACT_NONE)
+        if (fit->hits[i].triangle != BAKE_NO_HIT)
             fit->distances[count++] = (float)fit->hits[i].t;
     return count;
 }
@@ -152,7 +152,7 @@ static int measure_layers(struct fit *fit, double reach, double *share)
                                  true, i);
     int status = bake_fit_trace(fit, FEW, least, reach, false);
     for (uint32_t i = 0; i < FEW && status == 0; ++i)
-        layered += fit->hits[i].triangle != BAKE_EXACT_NONE;
+        layered += fit->hits[i].triangle != BAKE_NO_HIT;
     *share = hits > 0 ? (double)layered / hits : 0;
     return status;
 }
@@ -167,8 +167,8 @@ static int judge_openness(struct fit *fit)
         hits += set_ray_from_hit(fit, &fit->probes[i * (fit->count / FEW)], false, i);
     int status = bake_fit_trace(fit, FEW, from, 2.0 * fit->scan_size, false);
     for (uint32_t i = 0; i < FEW && status == 0; ++i)
-        left += !isinf(fit->probes[i * (fit->count / FEW)].t) &&
-                fit->hits[i].triangle == BAKE_EXACT_NONE;
+        left +=
+            !isinf(fit->probes[i * (fit->count / FEW)].t) && fit->hits[i].triangle == BAKE_NO_HIT;
     if (left > MOST_OPEN * hits)
         bsq_warn(fit->surface->ctx,
                  "map thickness: %.0f %% of the rays straight into %s leave through holes or open "
@@ -203,7 +203,7 @@ static int trace_probes(struct fit *fit)
     if (status == 0)
         fit->score = bake_fit_score(fit, 0, fit->count, fmin(fit->scan_size, fit->low_size));
     for (uint32_t i = 0; i < fit->count && status == 0; ++i)
-        fit->probes[i].t = fit->hits[i].triangle == BAKE_EXACT_NONE ? INFINITY : fit->hits[i].t;
+        fit->probes[i].t = fit->hits[i].triangle == BAKE_NO_HIT ? INFINITY : fit->hits[i].t;
     return status;
 }
 

@@ -88,7 +88,7 @@ void bake_fit_set_ray(const struct fit *fit, const struct probe *probe, const st
                       uint64_t index)
 {
     const struct bake_surface *surface = fit->surface;
-    struct bake_exact_ray *ray = &fit->rays[index];
+    struct bake_ray *ray = &fit->rays[index];
     struct bsq_vec3 n = bsq_v3(probe->normal[0], probe->normal[1], probe->normal[2]);
     double at[3];
     memcpy(at, probe->at, sizeof at);
@@ -105,7 +105,7 @@ void bake_fit_set_ray(const struct fit *fit, const struct probe *probe, const st
     }
     n = bsq_unit3(n);
     fit->reaches[index] = pose ? 0 : probe->reach;
-    *ray = (struct bake_exact_ray){.direction = {n.x, n.y, n.z}};
+    *ray = (struct bake_ray){.direction = {n.x, n.y, n.z}};
     for (int k = 0; k < 3; ++k)
         ray->origin[k] = (float)(at[k] / surface->unit);
     if (fit->objects)
@@ -141,7 +141,7 @@ struct score bake_fit_score(const struct fit *fit, uint64_t first, uint64_t coun
     if (!(size > 8 * detail)) /* smaller than anything that the scan has */
         return (struct score){0, 1, FAR};
     for (uint64_t i = first; i < first + count; ++i) {
-        const bool hit = fit->hits[i].triangle != BAKE_EXACT_NONE;
+        const bool hit = fit->hits[i].triangle != BAKE_NO_HIT;
         const double distance = hit ? fabs(fit->hits[i].t) : INFINITY;
         score.near += distance <= NEAR * size + detail;
         score.far += distance > FAR * size + detail;

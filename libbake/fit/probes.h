@@ -47,8 +47,8 @@ struct fit {
     bool measured;              /* lengths are chosen, by all probes */
     uint32_t count;             /* of probes, rays and hits: PROBES or FEW */
     struct probe *probes;
-    struct bake_exact_ray *rays;
-    struct bake_exact_hit *hits;
+    struct bake_ray *rays;
+    struct bake_hit *hits;
     uint32_t *objects; /* of rays; NULL: all see all scans */
     float *reaches;    /* of rays */
     float *distances;

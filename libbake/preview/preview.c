@@ -93,8 +93,8 @@ struct strip {
     const struct preview_view *view;
     uint32_t first_row, rows; /* pixels */
     uint32_t row_rays;        /* of a row of pixels */
-    struct bake_exact_ray *rays;
-    struct bake_exact_hit *hits;
+    struct bake_ray *rays;
+    struct bake_hit *hits;
     float *pixels; /* of the panel's first row */
     size_t stride; /* floats from row to row */
 };
@@ -116,7 +116,7 @@ static void cast_ray(const struct strip *strip, uint32_t x, uint32_t y)
     const uint64_t row = (uint64_t)strip->first_row * PREVIEW_GRID + y;
     const double right = (x + 0.5 - 0.5 * view->samples) / view->scale;
     const double up = (0.5 * view->samples - ((double)row + 0.5)) / view->scale;
-    struct bake_exact_ray *ray = &strip->rays[i];
+    struct bake_ray *ray = &strip->rays[i];
     for (int k = 0; k < 3; ++k) {
         double p = view->centre[k] + right * view->right[k] + up * view->up[k] +
                    view->scan_depth * view->toward[k];
@@ -135,10 +135,10 @@ static int cast_column(void *arg, uint64_t index, unsigned worker)
     return 0;
 }
 
-static struct bsq_vec3 hit_color(const struct strip *strip, const struct bake_exact_hit *hit,
+static struct bsq_vec3 hit_color(const struct strip *strip, const struct bake_hit *hit,
                                  uint32_t row)
 {
-    if (hit->triangle == BAKE_EXACT_NONE)
+    if (hit->triangle == BAKE_NO_HIT)
         return bake_preview_background(row, strip->view->side);
     struct bsq_vec3 normal = bsq_v3(hit->normal[0], hit->normal[1], hit->normal[2]);
     const double *toward = strip->view->toward;

@@ -11,15 +11,15 @@
 
 /* ---- rays ---- */
 
-struct bake_exact_ray {
+struct bake_ray {
     float origin[3];    /* relative to the scan's origin */
     float direction[3]; /* unit; zero: the ray hits nothing */
 };
 
-#define BAKE_EXACT_NONE UINT64_MAX
-struct bake_exact_hit {
+#define BAKE_NO_HIT UINT64_MAX
+struct bake_hit {
     double t;          /* signed distance along the direction */
-    uint64_t triangle; /* number in the file; BAKE_EXACT_NONE: no hit */
+    uint64_t triangle; /* number in the file; BAKE_NO_HIT: no hit */
     float normal[3];   /* unit, object space; of a surface that faces away: turned round */
     float color[3];    /* linear RGB */
     uint32_t id;       /* as in struct bk_map_hit; 0 without ids */
@@ -31,7 +31,7 @@ struct bake_exact_hit {
 
 /* The distance between neighbouring rays, by which textures are filtered: the steps of the rays'
  * origins along the rows and along the columns of the map. */
-struct bake_exact_footprint {
+struct bake_footprint {
     float step[2][3];
 };
 
@@ -45,24 +45,24 @@ static inline double bake_ray_cost(double t, double reach)
 
 /* Rays of a batch with numbers from a multiple of this on are traced together. They should be
  * neighbours; rays without a direction may fill the rest. */
-enum { BAKE_EXACT_BUNDLE = 16 };
+enum { BAKE_RAY_BUNDLE = 16 };
 
-struct bake_exact_batch {
-    const struct bake_exact_ray *rays;
-    struct bake_exact_hit *hits; /* out */
-    uint64_t count;              /* of rays and hits; below 2^32 */
-    double t_min, t_max;         /* range of the hits' t */
-    const float *reaches;        /* of each ray, see bake_ray_cost(); NULL: 0 */
-    bool from_reach;             /* hits with a larger t than the reach do not count */
-    double gap;                  /* hits nearer to t = 0 do not count */
-    bool distances_only;         /* do not evaluate normals and colours */
-    bool sampled; /* rays meet samples of chunks, coarse surfaces, if there are any */
+struct bake_ray_batch {
+    const struct bake_ray *rays;
+    struct bake_hit *hits; /* out */
+    uint64_t count;        /* of rays and hits; below 2^32 */
+    double t_min, t_max;   /* range of the hits' t */
+    const float *reaches;  /* of each ray, see bake_ray_cost(); NULL: 0 */
+    bool from_reach;       /* hits with a larger t than the reach do not count */
+    double gap;            /* hits nearer to t = 0 do not count */
+    bool distances_only;   /* do not evaluate normals and colours */
+    bool sampled;          /* rays meet samples of chunks, coarse surfaces, if there are any */
     /* Surfaces must face the ray's origin, as for a camera. Otherwise they must face its end, as
      * for rays along the low-poly mesh's normals. */
     bool facing_origin;
     /* For each ray the index of its footprint in the table. NULL: textures are not filtered. */
     const uint32_t *footprints;
-    const struct bake_exact_footprint *footprint_table;
+    const struct bake_footprint *footprint_table;
     /* Out: the channels of each hit, three values for each transfer; NULL: they are not wanted.
      * Undefined for rays that hit nothing. */
     float *channels;

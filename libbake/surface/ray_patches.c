@@ -47,17 +47,17 @@ struct job {
     struct bake_patch_workers workers; /* with sums for a row of squares, see square_side() */
     struct patch *order;
     uint32_t patch_count;
-    struct bake_exact_sweep *sweep;               /* NULL: each batch meets all chunks */
-    struct bake_exact_footprint *footprint_table; /* of each triangle; NULL: not needed */
+    struct bake_exact_sweep *sweep;         /* NULL: each batch meets all chunks */
+    struct bake_footprint *footprint_table; /* of each triangle; NULL: not needed */
     /* The current batch: the patches in the first `taken` seats. Each has space for seat_rays. */
     uint32_t seat_count, taken;
     uint32_t next;        /* order[next] is the first patch that had no seat yet */
     uint32_t waiting;     /* seats from the first on whose patches an earlier batch has begun */
     struct patch *seated; /* of each seat */
     uint64_t seat_rays;
-    struct bake_exact_ray *rays;
-    struct bake_exact_hit *hits;
-    struct bake_exact_hit *next_hits; /* beside these hits, for `confidence`; else NULL */
+    struct bake_ray *rays;
+    struct bake_hit *hits;
+    struct bake_hit *next_hits; /* beside these hits, for `confidence`; else NULL */
     float *reaches;
     uint32_t *footprints, *objects;
     float *channels; /* of each hit: values of transfer maps; NULL: there are none */
@@ -80,7 +80,7 @@ static uint32_t square_side(const struct job *job)
 /* Returns the next multiple of a bundle's rays. Each square begins a bundle. */
 static uint64_t next_bundle(uint64_t ray)
 {
-    return (ray + BAKE_EXACT_BUNDLE - 1) / BAKE_EXACT_BUNDLE * BAKE_EXACT_BUNDLE;
+    return (ray + BAKE_RAY_BUNDLE - 1) / BAKE_RAY_BUNDLE * BAKE_RAY_BUNDLE;
 }
 
 /* Returns the most rays of a patch. */
@@ -168,8 +168,8 @@ static void cast_sample(struct job *job, const struct sample *sample, void *into
     (void)into;
     const bk_start start = bk_start_at(job->patches->params, &sample->point);
     job->rays[sample->ray] =
-        (struct bake_exact_ray){{start.origin.x, start.origin.y, start.origin.z},
-                                {start.direction.x, start.direction.y, start.direction.z}};
+        (struct bake_ray){{start.origin.x, start.origin.y, start.origin.z},
+                          {start.direction.x, start.direction.y, start.direction.z}};
     job->reaches[sample->ray] = start.reach * job->patches->params->unit;
     if (job->footprints)
         job->footprints[sample->ray] = sample->triangle;
@@ -210,9 +210,9 @@ static void measure_footprints(const struct job *job)
 
 /* Turns the hit of a ray into a hit for maps. */
 static bk_map_hits place_hit(const struct job *job, const bk_point *point,
-                             const struct bake_exact_hit *hit)
+                             const struct bake_hit *hit)
 {
-    const bk_hits hits = {.found = hit->triangle != BAKE_EXACT_NONE,
+    const bk_hits hits = {.found = hit->triangle != BAKE_NO_HIT,
                           .reversed = hit->reversed,
                           .t = (float)(hit->t * job->units_a_length),
                           .normal = {hit->normal[0], hit->normal[1], hit->normal[2]},
@@ -234,13 +234,11 @@ static uint64_t transfer_floats(const struct job *job)
 static void set_confidence(const struct job *job, const struct sample *sample, bk_map_hits *placed)
 {
     const struct bk_params *params = job->patches->params;
-    const struct bake_exact_hit *hit = &job->hits[sample->ray],
-                                *beside = &job->next_hits[sample->ray];
+    const struct bake_hit *hit = &job->hits[sample->ray], *beside = &job->next_hits[sample->ray];
     const bk_start start = bk_start_at(params, &sample->point);
     const bk_hits hits = {.t = (float)(hit->t * job->units_a_length), .normal = placed->normal};
     const float way = (float)(beside->t * job->units_a_length), t = hits.t + way;
-    const bool other =
-        beside->triangle != BAKE_EXACT_NONE && t >= -params->back && t <= start.t_max;
+    const bool other = beside->triangle != BAKE_NO_HIT && t >= -params->back && t <= start.t_max;
     bk_set_confidence(params, &start, &hits, other ? fabsf(way) : BK_FAR, placed);
 }
 
@@ -306,8 +304,8 @@ static int look_beside(struct job *job, const struct bake_surface_rays *rays)
                                                        .distances_only = true},
                                              .objects = rays->objects};
     for (uint64_t i = first; i < first + rays->batch.count; i++) {
-        const bool found = job->hits[i].triangle != BAKE_EXACT_NONE;
-        struct bake_exact_ray *ray = &job->rays[i];
+        const bool found = job->hits[i].triangle != BAKE_NO_HIT;
+        struct bake_ray *ray = &job->rays[i];
         for (int k = 0; k < 3; k++) {
             ray->origin[k] += found ? (float)(job->hits[i].t / unit) * ray->direction[k] : 0;
             ray->direction[k] = found ? ray->direction[k] : 0;

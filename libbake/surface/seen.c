@@ -38,7 +38,7 @@ struct bake_seen {
 /* Hits to mark. */
 struct hits {
     struct bake_seen *seen;
-    const struct bake_exact_batch *batch;
+    const struct bake_ray_batch *batch;
     float unit;
     bool both_sides;
 };
@@ -104,7 +104,7 @@ static void seen_mark(struct bake_seen *seen, const float position[3], const flo
 
 /* Returns a number that follows from where a ray starts, so that the choice of rays does not depend
  * on batches and threads. */
-static uint64_t lot_of(const struct bake_exact_ray *ray)
+static uint64_t lot_of(const struct bake_ray *ray)
 {
     uint32_t x, y;
     memcpy(&x, &ray->origin[0], sizeof x);
@@ -117,11 +117,11 @@ static int mark_some(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     (void)worker;
     const struct hits *of = arg;
-    const struct bake_exact_batch *batch = of->batch;
+    const struct bake_ray_batch *batch = of->batch;
     for (uint64_t i = begin; i < end; i++) {
-        const struct bake_exact_ray *ray = &batch->rays[i];
-        const struct bake_exact_hit *hit = &batch->hits[i];
-        if (lot_of(ray) >= of->seen->lot || hit->triangle == BAKE_EXACT_NONE)
+        const struct bake_ray *ray = &batch->rays[i];
+        const struct bake_hit *hit = &batch->hits[i];
+        if (lot_of(ray) >= of->seen->lot || hit->triangle == BAKE_NO_HIT)
             continue;
         const bool flat = hit->facet[0] != 0 || hit->facet[1] != 0 || hit->facet[2] != 0;
         float position[3];
@@ -133,7 +133,7 @@ static int mark_some(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 }
 
 int bake_seen_mark_hits(const struct bake_surface *surface, struct bake_seen *seen,
-                        const struct bake_exact_batch *batch)
+                        const struct bake_ray_batch *batch)
 {
     struct hits of = {seen, batch, (float)surface->unit, surface->params.flags & BK_TWO_SIDED};
     return bsq_parallel_ranges(seen->ctx, batch->count, HITS_A_TASK, mark_some, &of);
@@ -154,7 +154,7 @@ static bool is_marked(const struct bake_seen *seen, uint64_t cell, uint64_t axes
 /* ---- patches on a device ---- */
 
 struct lines {
-    struct bake_exact_ray rays[LINES];
+    struct bake_ray rays[LINES];
     float reaches[LINES];
     uint64_t count;
 };
@@ -163,21 +163,21 @@ static void trace_lines(const struct bake_surface *surface, const struct bake_pa
                         struct lines *lines)
 {
     const struct bk_params *params = patches->params;
-    struct bake_exact_hit hits[LINES];
-    const struct bake_exact_batch batch = {.rays = lines->rays,
-                                           .hits = hits,
-                                           .count = lines->count,
-                                           .t_min = -(double)params->back,
-                                           .t_max = (double)params->front,
-                                           .reaches = lines->reaches,
-                                           .from_reach = params->flags & BK_CAGE};
+    struct bake_hit hits[LINES];
+    const struct bake_ray_batch batch = {.rays = lines->rays,
+                                         .hits = hits,
+                                         .count = lines->count,
+                                         .t_min = -(double)params->back,
+                                         .t_max = (double)params->front,
+                                         .reaches = lines->reaches,
+                                         .from_reach = params->flags & BK_CAGE};
     bake_trace_rays(&surface->scans->grid, params, 1, &batch, 0, batch.count);
     for (uint64_t i = 0; i < lines->count; i++) {
-        const struct bake_exact_ray *ray = &lines->rays[i];
+        const struct bake_ray *ray = &lines->rays[i];
         float position[3];
         for (int k = 0; k < 3; k++)
             position[k] = (ray->origin[k] + (float)hits[i].t * ray->direction[k]) * params->unit;
-        if (hits[i].triangle != BAKE_EXACT_NONE)
+        if (hits[i].triangle != BAKE_NO_HIT)
             seen_mark(patches->seen, position, hits[i].normal, params->flags & BK_TWO_SIDED);
     }
     lines->count = 0;

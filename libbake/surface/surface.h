@@ -97,7 +97,7 @@ int bake_surface_report_ids(const struct bake_surface *surface, struct bake_repo
 struct bake_surface_rays {
     /* In the surface's index space; a grid's hits have triangle 0. t_min and t_max are in world
      * units, as the hits' t. */
-    struct bake_exact_batch batch;
+    struct bake_ray_batch batch;
     bool best;               /* blends on grids also if the options ask for the nearest voxel */
     const uint32_t *objects; /* of each ray; NULL: all rays see all scans */
 };
@@ -117,10 +117,10 @@ uint64_t bake_surface_curve_index(const struct bake_surface *surface, const floa
 
 /* Hits from which secondary rays start. */
 struct bake_look_hits {
-    const struct bake_exact_ray *rays; /* surface's index space */
-    const struct bake_exact_hit *hits; /* of these rays; hits of nothing are allowed */
-    const struct bk_share *shares;     /* of their texels' directions */
-    const uint32_t *objects;           /* as in struct bake_surface_rays */
+    const struct bake_ray *rays;   /* surface's index space */
+    const struct bake_hit *hits;   /* of these rays; hits of nothing are allowed */
+    const struct bk_share *shares; /* of their texels' directions */
+    const uint32_t *objects;       /* as in struct bake_surface_rays */
     uint64_t count;
     uint64_t progress; /* what all of them add to the context's progress */
 };
@@ -156,7 +156,7 @@ void bake_seen_free(struct bake_seen *seen); /* NULL is allowed */
 /* Marks some of the hits of a batch in the surface's index space. Must not be called from parallel
  * work. */
 int bake_seen_mark_hits(const struct bake_surface *surface, struct bake_seen *seen,
-                        const struct bake_exact_batch *batch);
+                        const struct bake_ray_batch *batch);
 /* Traces some samples of a patch, of a grid alone, and marks their hits. Thread-safe. */
 void bake_seen_mark_patch(const struct bake_surface *surface, const struct bake_patches *patches,
                           const struct bk_patch *patch, const uint32_t *samples);

@@ -60,8 +60,8 @@ static void set_viewpoint(const struct view *view, uint64_t index, const double 
                           double unit, double lift, bk_viewpoint *out)
 {
     const struct bake_surface *surface = view->look->surface;
-    const struct bake_exact_ray *ray = &view->hits->rays[index];
-    const struct bake_exact_hit *hit = &view->hits->hits[index];
+    const struct bake_ray *ray = &view->hits->rays[index];
+    const struct bake_hit *hit = &view->hits->hits[index];
     const float *facet = hit->facet;
     const float *up = facet[0] != 0 || facet[1] != 0 || facet[2] != 0 ? facet : hit->normal;
     float on[3], above[3];
@@ -85,8 +85,8 @@ static bool get_viewpoint(const void *arg, uint64_t index, bk_viewpoint *out)
     const struct view *view = arg;
     const struct bake_surface *surface = view->look->surface;
     const struct bake_scan *scan = &surface->scans[view->scan];
-    const struct bake_exact_hit *hit = &view->hits->hits[view->first + index];
-    if (hit->triangle == BAKE_EXACT_NONE || !sees(view, view->first + index, view->scan))
+    const struct bake_hit *hit = &view->hits->hits[view->first + index];
+    if (hit->triangle == BAKE_NO_HIT || !sees(view, view->first + index, view->scan))
         return false;
     set_viewpoint(view, view->first + index, scan->translation, scan->unit,
                   fmax(lift_of(surface, view->scan), lift_of(surface, hit->scan)), out);
@@ -198,7 +198,7 @@ static int sum_task(void *arg, uint64_t begin, uint64_t end, unsigned worker)
         double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
         bk_viewpoint viewpoint;
         view->out[index] = bk_no_surroundings();
-        if (view->hits->hits[index].triangle == BAKE_EXACT_NONE)
+        if (view->hits->hits[index].triangle == BAKE_NO_HIT)
             continue;
         for (uint32_t s = 0; s < surface->scan_count; s++)
             for (int k = 0; k < 3 && sees(view, index, s); k++) {

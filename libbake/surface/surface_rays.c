@@ -21,7 +21,7 @@ static int trace_grid_rays(void *arg, uint64_t begin, uint64_t end, unsigned wor
 {
     (void)worker;
     const struct grid_trace *trace = arg;
-    const struct bake_exact_batch *batch = &trace->rays->batch;
+    const struct bake_ray_batch *batch = &trace->rays->batch;
     const double count = (double)batch->count;
     bake_trace_rays(&trace->scan->grid, &trace->params, trace->scan->unit, batch, begin, end);
     bsq_progress_add_share(trace->scan->ctx, batch->progress, (double)begin / count,
@@ -46,8 +46,8 @@ struct scans_trace {
     const struct bake_surface_rays *rays;
     uint32_t scan; /* the current one */
     /* Of this scan, in its index space: */
-    struct bake_exact_ray *own_rays;
-    struct bake_exact_hit *own_hits;
+    struct bake_ray *own_rays;
+    struct bake_hit *own_hits;
     float *own_channels;
 };
 
@@ -67,7 +67,7 @@ static int move_rays(void *arg, uint64_t begin, uint64_t end, unsigned worker)
     const struct bake_surface *surface = trace->surface;
     const struct bake_scan *scan = &surface->scans[trace->scan];
     for (uint64_t i = begin; i < end; i++) {
-        struct bake_exact_ray *ray = &trace->own_rays[i];
+        struct bake_ray *ray = &trace->own_rays[i];
         *ray = trace->rays->batch.rays[i];
         for (int k = 0; k < 3; k++) {
             const double shift = surface->translation[k] - scan->translation[k];
@@ -78,19 +78,19 @@ static int move_rays(void *arg, uint64_t begin, uint64_t end, unsigned worker)
     return 0;
 }
 
-_Static_assert(offsetof(struct bake_exact_hit, facet) - offsetof(struct bake_exact_hit, normal) ==
+_Static_assert(offsetof(struct bake_hit, facet) - offsetof(struct bake_hit, normal) ==
                    6 * sizeof(float) + sizeof(uint32_t),
                "what a hit carries is compared as bytes");
 
 /* Returns whether a hit of a ray comes before another one, as exact_wins() does. Of hits in the
  * same place, any is as good, but it must not depend on the order of scans. size: of channels. */
-static bool comes_before(const struct bake_exact_hit *hit, const float *channels,
-                         const struct bake_exact_hit *other, const float *other_channels,
-                         size_t size, double reach)
+static bool comes_before(const struct bake_hit *hit, const float *channels,
+                         const struct bake_hit *other, const float *other_channels, size_t size,
+                         double reach)
 {
     const double cost = bake_ray_cost(hit->t, reach), other_cost = bake_ray_cost(other->t, reach);
-    if (hit->triangle == BAKE_EXACT_NONE || other->triangle == BAKE_EXACT_NONE)
-        return hit->triangle != BAKE_EXACT_NONE;
+    if (hit->triangle == BAKE_NO_HIT || other->triangle == BAKE_NO_HIT)
+        return hit->triangle != BAKE_NO_HIT;
     if (cost != other_cost)
         return cost < other_cost;
     if (hit->t != other->t)
@@ -98,7 +98,7 @@ static bool comes_before(const struct bake_exact_hit *hit, const float *channels
     const int order =
         /* NOLINTNEXTLINE(bugprone-suspicious-memory-comparison): any order of bits will do */
         memcmp(hit->normal, other->normal,
-               offsetof(struct bake_exact_hit, reversed) - offsetof(struct bake_exact_hit, normal));
+               offsetof(struct bake_hit, reversed) - offsetof(struct bake_hit, normal));
     return order ? order < 0 : size > 0 && memcmp(channels, other_channels, size) < 0;
 }
 
@@ -106,7 +106,7 @@ static int keep_best(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     (void)worker;
     const struct scans_trace *trace = arg;
-    const struct bake_exact_batch *batch = &trace->rays->batch;
+    const struct bake_ray_batch *batch = &trace->rays->batch;
     const uint64_t floats =
         trace->own_channels ? BK_TRANSFER_VALUES * bk_transfers(trace->surface->params.maps) : 0;
     for (uint64_t i = begin; i < end; i++) {
@@ -174,8 +174,7 @@ static uint64_t scan_capacity(const struct bake_scan *scan, uint64_t more_bytes)
     if (scan->exact)
         return bake_exact_capacity(scan->exact, more_bytes);
     const uint64_t channels = BK_TRANSFER_VALUES * bk_transfers(scan->params.maps) * sizeof(float);
-    const uint64_t ray =
-        sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit) + channels + more_bytes;
+    const uint64_t ray = sizeof(struct bake_ray) + sizeof(struct bake_hit) + channels + more_bytes;
     const uint64_t most = bsq_memory_share(scan->ctx, "rays of a batch", 8) / ray;
     return most < MAX_GRID_RAYS ? most : MAX_GRID_RAYS;
 }

@@ -71,13 +71,13 @@ void grid_use_look_up(const struct fmt_nvdb_grid *grid)
 static void trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
                       const float origin[3], const float direction[3], float reach)
 {
-    const struct bake_exact_ray ray = {{origin[0], origin[1], origin[2]},
-                                       {direction[0], direction[1], direction[2]}};
-    struct bake_exact_hit hit = {.triangle = BAKE_EXACT_NONE};
-    const struct bake_exact_batch batch = {
+    const struct bake_ray ray = {{origin[0], origin[1], origin[2]},
+                                 {direction[0], direction[1], direction[2]}};
+    struct bake_hit hit = {.triangle = BAKE_NO_HIT};
+    const struct bake_ray_batch batch = {
         .rays = &ray, .hits = &hit, .count = 1, .t_min = -(double)reach, .t_max = (double)reach};
     bake_trace_rays(grid, params, 1, &batch, 0, 1);
-    if (hit.triangle == BAKE_EXACT_NONE)
+    if (hit.triangle == BAKE_NO_HIT)
         return;
     require(isfinite(hit.t), "a hit at no distance");
     float length = 0;

@@ -65,7 +65,7 @@ void bake_native_close(struct bake_native *native)
 }
 
 void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params, double unit,
-                     const struct bake_exact_batch *batch, uint64_t begin, uint64_t end)
+                     const struct bake_ray_batch *batch, uint64_t begin, uint64_t end)
 {
     struct bk_grid native;
 

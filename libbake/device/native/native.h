@@ -25,7 +25,7 @@ struct bake_device_info bake_native_describe(const struct bsq_ctx *ctx);
  * Of a batch with a gap, hits within BK_NEXT_SHEET voxels of t = 0 do not count. params: flags and
  * maps. */
 void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params, double unit,
-                     const struct bake_exact_batch *batch, uint64_t begin, uint64_t end);
+                     const struct bake_ray_batch *batch, uint64_t begin, uint64_t end);
 
 /* Memory of the workers that trace secondary rays. */
 struct bake_tree_stream;

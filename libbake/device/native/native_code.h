@@ -34,7 +34,7 @@ BSQ_SIMD_DECLARE(bake_native_patch_fn, bake_native_patch);
 
 /* Does what bake_trace_rays() does. */
 typedef void bake_native_rays_fn(const struct bk_grid *grid, const struct bk_params *params,
-                                 double unit, const struct bake_exact_batch *batch, uint64_t begin,
+                                 double unit, const struct bake_ray_batch *batch, uint64_t begin,
                                  uint64_t end);
 BSQ_SIMD_DECLARE(bake_native_rays_fn, bake_native_rays);
 

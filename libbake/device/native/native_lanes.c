@@ -146,7 +146,7 @@ void BSQ_SIMD_NAME(bake_native_patch)(const struct bk_grid *grid, const struct b
 
 /* Fills lines with rays `first` and following ones of a batch, BK_WIDTH at most. */
 static void load_lines(const struct bk_params *params, double unit,
-                       const struct bake_exact_batch *batch, uint64_t first, uint64_t end,
+                       const struct bake_ray_batch *batch, uint64_t first, uint64_t end,
                        bk_lines *lines)
 {
     const uint64_t channels = (uint64_t)BK_TRANSFER_VALUES * bk_transfers(params->maps);
@@ -174,18 +174,18 @@ static void load_lines(const struct bk_params *params, double unit,
     lines->facing = bk_scalew(lines->direction, bk_splat(batch->facing_origin ? -1.0f : 1.0f));
 }
 
-static void get_hit(const bk_hits *hits, bk_uint lane, double unit, struct bake_exact_hit *out)
+static void get_hit(const bk_hits *hits, bk_uint lane, double unit, struct bake_hit *out)
 {
-    *out = (struct bake_exact_hit){.triangle = hits->found >> lane & 1 ? 0 : BAKE_EXACT_NONE,
-                                   .t = (double)bk_lane(hits->t, lane) * unit,
-                                   .id = (bk_uint)bk_lane(hits->id, lane),
-                                   .reversed = hits->reversed >> lane & 1};
+    *out = (struct bake_hit){.triangle = hits->found >> lane & 1 ? 0 : BAKE_NO_HIT,
+                             .t = (double)bk_lane(hits->t, lane) * unit,
+                             .id = (bk_uint)bk_lane(hits->id, lane),
+                             .reversed = hits->reversed >> lane & 1};
     bk_copy_lane(&hits->normal, lane, out->normal);
     bk_copy_lane(&hits->color, lane, out->color);
 }
 
 void BSQ_SIMD_NAME(bake_native_rays)(const struct bk_grid *grid, const struct bk_params *params,
-                                     double unit, const struct bake_exact_batch *batch,
+                                     double unit, const struct bake_ray_batch *batch,
                                      uint64_t begin, uint64_t end)
 {
     const bk_fw zero = bk_splat(0.0f);

@@ -324,17 +324,17 @@ struct traced_hit analytic_trace(const struct fmt_nvdb_grid *grid, const struct 
                                  const float origin[3], const float direction[3], float t_min,
                                  float t_max, float facing)
 {
-    const struct bake_exact_ray ray = {{origin[0], origin[1], origin[2]},
-                                       {direction[0], direction[1], direction[2]}};
-    struct bake_exact_hit hit = {.triangle = BAKE_EXACT_NONE};
-    const struct bake_exact_batch batch = {.rays = &ray,
-                                           .hits = &hit,
-                                           .count = 1,
-                                           .t_min = (double)t_min,
-                                           .t_max = (double)t_max,
-                                           .facing_origin = facing < 0};
+    const struct bake_ray ray = {{origin[0], origin[1], origin[2]},
+                                 {direction[0], direction[1], direction[2]}};
+    struct bake_hit hit = {.triangle = BAKE_NO_HIT};
+    const struct bake_ray_batch batch = {.rays = &ray,
+                                         .hits = &hit,
+                                         .count = 1,
+                                         .t_min = (double)t_min,
+                                         .t_max = (double)t_max,
+                                         .facing_origin = facing < 0};
     bake_trace_rays(grid, params, 1, &batch, 0, 1);
-    struct traced_hit out = {.found = hit.triangle != BAKE_EXACT_NONE,
+    struct traced_hit out = {.found = hit.triangle != BAKE_NO_HIT,
                              .t = (float)hit.t,
                              .id = hit.id,
                              .reversed = hit.reversed};

@@ -378,8 +378,8 @@ TEST(test_voxels_at_the_ends_of_the_index_range_are_refused)
 TEST(test_groups_have_the_hits_of_single_rays)
 {
     enum { RAYS = 1003 };
-    static struct bake_exact_ray rays[RAYS];
-    static struct bake_exact_hit hits[RAYS];
+    static struct bake_ray rays[RAYS];
+    static struct bake_hit hits[RAYS];
     const double centre[3] = {3.3, -7.2, 5.7};
     struct analytic_grid *source = analytic_grid_create();
     struct bk_params params = {0};
@@ -400,17 +400,17 @@ TEST(test_groups_have_the_hits_of_single_rays)
         }
     }
     for (int sign = -1; sign <= 1; sign += 2) {
-        const struct bake_exact_batch batch = {.rays = rays,
-                                               .hits = hits,
-                                               .count = RAYS,
-                                               .t_min = -4,
-                                               .t_max = 9,
-                                               .facing_origin = sign < 0};
+        const struct bake_ray_batch batch = {.rays = rays,
+                                             .hits = hits,
+                                             .count = RAYS,
+                                             .t_min = -4,
+                                             .t_max = 9,
+                                             .facing_origin = sign < 0};
         bake_trace_rays(&grid, &params, 1, &batch, 0, RAYS);
         for (int i = 0; i < RAYS; i++) {
             const struct traced_hit single = analytic_trace(&grid, &params, rays[i].origin,
                                                             rays[i].direction, -4, 9, (float)sign);
-            assert_int_equal(hits[i].triangle != BAKE_EXACT_NONE, single.found);
+            assert_int_equal(hits[i].triangle != BAKE_NO_HIT, single.found);
             assert_true(!single.found || i % 50 != 7);
             if (!single.found)
                 continue;

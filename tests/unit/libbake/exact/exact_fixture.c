@@ -91,8 +91,8 @@ void exact_write_scan(const struct triangle_scan *mesh, uint32_t chunk_triangles
 
 /* ---- tracing ---- */
 
-void exact_trace(const struct exact_setup *setup, const struct bake_exact_ray *rays, uint64_t count,
-                 struct bake_exact_hit *hits)
+void exact_trace(const struct exact_setup *setup, const struct bake_ray *rays, uint64_t count,
+                 struct bake_hit *hits)
 {
     struct bsq_ctx *ctx = test_context(setup->threads, setup->memory);
     struct bake_exact_options options = {
@@ -105,16 +105,16 @@ void exact_trace(const struct exact_setup *setup, const struct bake_exact_ray *r
     uint32_t *footprints = setup->footprint ? calloc(count, 4) : NULL;
     uint64_t capacity = bake_exact_capacity(exact, 0);
     for (uint64_t at = 0; at < count; at += capacity) {
-        struct bake_exact_batch batch = {.rays = rays + at,
-                                         .hits = hits + at,
-                                         .count = count - at < capacity ? count - at : capacity,
-                                         .t_min = setup->t_min,
-                                         .t_max = setup->t_max,
-                                         .facing_origin = setup->facing_origin,
-                                         .reaches = setup->reaches ? setup->reaches + at : NULL,
-                                         .from_reach = setup->from_reach,
-                                         .footprints = footprints,
-                                         .footprint_table = setup->footprint};
+        struct bake_ray_batch batch = {.rays = rays + at,
+                                       .hits = hits + at,
+                                       .count = count - at < capacity ? count - at : capacity,
+                                       .t_min = setup->t_min,
+                                       .t_max = setup->t_max,
+                                       .facing_origin = setup->facing_origin,
+                                       .reaches = setup->reaches ? setup->reaches + at : NULL,
+                                       .from_reach = setup->from_reach,
+                                       .footprints = footprints,
+                                       .footprint_table = setup->footprint};
         int status = bake_exact_trace(exact, &batch);
         if (status < 0)
             print_message("%s\n", bsq_error(ctx));
@@ -128,7 +128,7 @@ void exact_trace(const struct exact_setup *setup, const struct bake_exact_ray *r
     bsq_ctx_destroy(ctx);
 }
 
-void exact_random_rays(struct bake_exact_ray *rays, uint64_t count, double low, double high)
+void exact_random_rays(struct bake_ray *rays, uint64_t count, double low, double high)
 {
     for (uint64_t r = 0; r < count; r++) {
         for (int k = 0; k < 3; k++)
@@ -140,11 +140,11 @@ void exact_random_rays(struct bake_exact_ray *rays, uint64_t count, double low, 
     }
 }
 
-struct bake_exact_hit exact_trace_one(const struct exact_setup *setup, float x, float y, float z,
-                                      float dz)
+struct bake_hit exact_trace_one(const struct exact_setup *setup, float x, float y, float z,
+                                float dz)
 {
-    struct bake_exact_ray ray = {{x, y, z}, {0, 0, dz}};
-    struct bake_exact_hit hit;
+    struct bake_ray ray = {{x, y, z}, {0, 0, dz}};
+    struct bake_hit hit;
     exact_trace(setup, &ray, 1, &hit);
     return hit;
 }

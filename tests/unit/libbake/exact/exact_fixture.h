@@ -35,18 +35,18 @@ struct exact_setup {
     bool two_sided, color, facing_origin, from_reach;
     enum bsq_scan_normals normals;
     double t_min, t_max;
-    const float *reaches;                         /* of all rays; NULL: 0 */
-    const struct bake_exact_footprint *footprint; /* the same for all rays; NULL: none */
+    const float *reaches;                   /* of all rays; NULL: 0 */
+    const struct bake_footprint *footprint; /* the same for all rays; NULL: none */
 };
 
 /* Traces rays through the scan, in as many batches as needed, in a context of its own. */
-void exact_trace(const struct exact_setup *setup, const struct bake_exact_ray *rays, uint64_t count,
-                 struct bake_exact_hit *hits);
+void exact_trace(const struct exact_setup *setup, const struct bake_ray *rays, uint64_t count,
+                 struct bake_hit *hits);
 /* Traces one ray along z. */
-struct bake_exact_hit exact_trace_one(const struct exact_setup *setup, float x, float y, float z,
-                                      float dz);
+struct bake_hit exact_trace_one(const struct exact_setup *setup, float x, float y, float z,
+                                float dz);
 /* Makes rays with origins between low and high on each axis. Every 16th ray is parallel to an axis.
  */
-void exact_random_rays(struct bake_exact_ray *rays, uint64_t count, double low, double high);
+void exact_random_rays(struct bake_ray *rays, uint64_t count, double low, double high);
 
 #endif

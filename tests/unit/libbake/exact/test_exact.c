@@ -43,8 +43,8 @@ TEST(test_hits_do_not_depend_on_chunks_threads_or_budget)
         uint64_t memory;
     } cases[] = {{60000, 1, 0},      {60000, 4, 6 << 20}, {5000, 3, 0},
                  {1000, 2, 2 << 20}, {333, 5, 3 << 20},   {20, 2, 0}};
-    struct bake_exact_ray *rays = calloc(RAYS, sizeof *rays);
-    struct bake_exact_hit *first = calloc(RAYS, sizeof *first), *hits = calloc(RAYS, sizeof *hits);
+    struct bake_ray *rays = calloc(RAYS, sizeof *rays);
+    struct bake_hit *first = calloc(RAYS, sizeof *first), *hits = calloc(RAYS, sizeof *hits);
     struct triangle_scan mesh = exact_torus(150, 100);
     mesh.attributes = FMT_TRIS_COLORS;
     for (uint32_t v = 0; v < mesh.vertex_count; v++)
@@ -81,22 +81,22 @@ TEST(test_facing)
     struct exact_setup setup = {.threads = 1, .t_min = -1, .t_max = 1};
     exact_write_scan(&mesh, 1);
     /* Rays of a low-poly mesh below go upwards and hit the square from its back. */
-    struct bake_exact_hit hit = exact_trace_one(&setup, 1.5f, 0.5f, -0.5f, 1);
+    struct bake_hit hit = exact_trace_one(&setup, 1.5f, 0.5f, -0.5f, 1);
     assert_int_equal(hit.triangle, 0);
     assert_true(hit.t == 0.5 && hit.normal[2] == 1.0f);
     hit = exact_trace_one(&setup, 1.5f, 0.5f, -0.5f, -1);
-    assert_true(hit.triangle == BAKE_EXACT_NONE);
+    assert_true(hit.triangle == BAKE_NO_HIT);
     setup.facing_origin = true; /* as from a camera above */
     hit = exact_trace_one(&setup, 0.5f, 1.5f, 0.75f, -1);
     assert_int_equal(hit.triangle, 1);
     assert_true(hit.t == 0.75);
     hit = exact_trace_one(&setup, 0.5f, 1.5f, -0.75f, 1);
-    assert_true(hit.triangle == BAKE_EXACT_NONE);
+    assert_true(hit.triangle == BAKE_NO_HIT);
     setup.two_sided = true;
     hit = exact_trace_one(&setup, 0.5f, 1.5f, -0.75f, 1);
     assert_true(hit.t == 0.75 && hit.normal[2] == -1.0f); /* a back shows its normal turned */
     hit = exact_trace_one(&setup, 0.5f, 1.5f, -1.25f, 1);
-    assert_true(hit.triangle == BAKE_EXACT_NONE);
+    assert_true(hit.triangle == BAKE_NO_HIT);
     triangle_scan_free(&mesh);
 }
 
@@ -109,8 +109,8 @@ TEST(test_normals_decide_on_the_outside)
     for (int v = 0; v < 4; v++)
         mesh.normals[v] = bsq_oct_pack(bsq_v3(0, 0, -1));
     exact_write_scan(&mesh, 2);
-    assert_true(exact_trace_one(&setup, 1.5f, 0.5f, -0.5f, 1).triangle == BAKE_EXACT_NONE);
-    struct bake_exact_hit hit = exact_trace_one(&setup, 1.5f, 0.5f, -0.5f, -1);
+    assert_true(exact_trace_one(&setup, 1.5f, 0.5f, -0.5f, 1).triangle == BAKE_NO_HIT);
+    struct bake_hit hit = exact_trace_one(&setup, 1.5f, 0.5f, -0.5f, -1);
     assert_true(hit.t == -0.5);
     assert_true(hit.normal[2] == -1.0f);
     triangle_scan_free(&mesh);
@@ -130,7 +130,7 @@ TEST(test_ties)
     struct exact_setup setup = {.threads = 2, .t_min = -2, .t_max = 2};
     for (uint32_t chunk = 1; chunk <= 3; chunk++) {
         exact_write_scan(&mesh, chunk);
-        struct bake_exact_hit hit = exact_trace_one(&setup, 1, 1, 0, 1);
+        struct bake_hit hit = exact_trace_one(&setup, 1, 1, 0, 1);
         assert_true(hit.t == 1.0);
         assert_int_equal(hit.triangle, 1);
     }
@@ -142,10 +142,10 @@ TEST(test_rays_without_direction_hit_nothing)
     struct triangle_scan mesh = exact_square();
     struct exact_setup setup = {.threads = 1, .two_sided = true, .t_min = -1, .t_max = 1};
     exact_write_scan(&mesh, 1);
-    assert_true(exact_trace_one(&setup, 1, 1, 0, 0).triangle == BAKE_EXACT_NONE);
-    assert_true(exact_trace_one(&setup, NAN, 1, 0, 1).triangle == BAKE_EXACT_NONE);
-    assert_true(exact_trace_one(&setup, INFINITY, 1, 0, 1).triangle == BAKE_EXACT_NONE);
-    assert_true(exact_trace_one(&setup, 1, 1, 0, NAN).triangle == BAKE_EXACT_NONE);
+    assert_true(exact_trace_one(&setup, 1, 1, 0, 0).triangle == BAKE_NO_HIT);
+    assert_true(exact_trace_one(&setup, NAN, 1, 0, 1).triangle == BAKE_NO_HIT);
+    assert_true(exact_trace_one(&setup, INFINITY, 1, 0, 1).triangle == BAKE_NO_HIT);
+    assert_true(exact_trace_one(&setup, 1, 1, 0, NAN).triangle == BAKE_NO_HIT);
     assert_true(exact_trace_one(&setup, 1, 1, 0.5f, 1).t == -0.5);
     triangle_scan_free(&mesh);
 }
@@ -156,8 +156,8 @@ TEST(test_bundles_with_gaps)
     enum { RAYS = 501, GAPS = 3 * RAYS };
     struct triangle_scan mesh = exact_torus(60, 40);
     struct exact_setup setup = {.threads = 2, .t_min = -0.3, .t_max = 0.4};
-    struct bake_exact_ray *rays = calloc(RAYS, sizeof *rays), *gaps = calloc(GAPS, sizeof *gaps);
-    struct bake_exact_hit *hits = calloc(RAYS, sizeof *hits), *others = calloc(GAPS, sizeof *hits);
+    struct bake_ray *rays = calloc(RAYS, sizeof *rays), *gaps = calloc(GAPS, sizeof *gaps);
+    struct bake_hit *hits = calloc(RAYS, sizeof *hits), *others = calloc(GAPS, sizeof *hits);
     uint32_t found = 0;
     exact_random_rays(rays, RAYS, -1.2, 1.2);
     for (uint32_t r = 0; r < RAYS; r++)
@@ -166,10 +166,10 @@ TEST(test_bundles_with_gaps)
     exact_trace(&setup, rays, RAYS, hits);
     exact_trace(&setup, gaps, GAPS, others);
     for (uint32_t r = 0; r < RAYS; r++) {
-        found += hits[r].triangle != BAKE_EXACT_NONE;
+        found += hits[r].triangle != BAKE_NO_HIT;
         assert_memory_equal(&others[3 * r + 1], &hits[r], sizeof *hits);
-        assert_true(others[3 * r].triangle == BAKE_EXACT_NONE);
-        assert_true(others[3 * r + 2].triangle == BAKE_EXACT_NONE);
+        assert_true(others[3 * r].triangle == BAKE_NO_HIT);
+        assert_true(others[3 * r + 2].triangle == BAKE_NO_HIT);
     }
     assert_true(found > 20);
     free(rays);
@@ -195,11 +195,11 @@ TEST(test_damaged_chunk_is_reported)
     struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_exact_options options = {.path = exact_scan_path};
     struct bake_exact *exact;
-    struct bake_exact_ray rays[400];
-    struct bake_exact_hit hits[400];
+    struct bake_ray rays[400];
+    struct bake_hit hits[400];
     exact_random_rays(rays, 400, -1, 1);
     assert_int_equal(bake_exact_open(ctx, &options, &exact), 0);
-    struct bake_exact_batch batch = {
+    struct bake_ray_batch batch = {
         .rays = rays, .hits = hits, .count = 400, .t_min = -3, .t_max = 3};
     assert_int_equal(bake_exact_trace(exact, &batch), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(ctx), "checksum"));

@@ -11,7 +11,7 @@ struct candidate {
 
 /* Intersects the line of a ray with a triangle (Moller & Trumbore, 1997). */
 static struct candidate meet(const struct triangle_scan *mesh, uint32_t triangle,
-                             const struct bake_exact_ray *ray)
+                             const struct bake_ray *ray)
 {
     double e[2][3], s[3], p[3], q[3], d[3], determinant = 0, u = 0, v = 0, t = 0;
     const float *a = mesh->positions[mesh->triangles[triangle][0]];
@@ -41,8 +41,7 @@ static struct candidate meet(const struct triangle_scan *mesh, uint32_t triangle
 /* Checks a hit of a ray that starts at `reach`: hits below it are passed one after another, and
  * those above it as if the ray came from -reach back to +reach first. */
 static void check_by_force(const struct triangle_scan *mesh, const struct exact_setup *setup,
-                           const struct bake_exact_ray *ray, double reach,
-                           const struct bake_exact_hit *hit)
+                           const struct bake_ray *ray, double reach, const struct bake_hit *hit)
 {
     const double slack = 1e-9, t_max = setup->from_reach ? reach : setup->t_max;
     double nearest = INFINITY; /* of the triangles that are hit for certain */
@@ -52,7 +51,7 @@ static void check_by_force(const struct triangle_scan *mesh, const struct exact_
             (setup->two_sided || c.along != setup->facing_origin))
             nearest = fmin(nearest, c.t < reach ? reach - c.t : c.t + reach);
     }
-    if (hit->triangle == BAKE_EXACT_NONE) {
+    if (hit->triangle == BAKE_NO_HIT) {
         assert_true(isinf(nearest));
         return;
     }
@@ -68,15 +67,15 @@ static void check_by_force(const struct triangle_scan *mesh, const struct exact_
 TEST(test_neighbours_hit_what_they_hit_alone)
 {
     enum { SIDE = 64, RAYS = SIDE * SIDE, STEP = 1013 };
-    static struct bake_exact_ray rays[RAYS], scattered[RAYS];
-    static struct bake_exact_hit hits[RAYS], others[RAYS];
+    static struct bake_ray rays[RAYS], scattered[RAYS];
+    static struct bake_hit hits[RAYS], others[RAYS];
     struct triangle_scan mesh = exact_torus(300, 150);
     uint32_t found = 0;
     exact_write_scan(&mesh, 40000);
     for (uint32_t i = 0; i < RAYS; i++) {
         const float u = (float)(i % SIDE) / SIDE, v = (float)(i / SIDE) / SIDE;
         const float from[3] = {0.9f + 0.2f * u, 0.1f * v - 0.05f, 0.3f + 0.2f * v};
-        rays[i] = (struct bake_exact_ray){.origin = {from[0], from[1], from[2]}};
+        rays[i] = (struct bake_ray){.origin = {from[0], from[1], from[2]}};
         exact_toward(from, (double[3]){1.0 + (double)u, 0.3 * (double)v, 1}, rays[i].direction);
     }
     for (uint32_t i = 0; i < RAYS; i++)
@@ -85,8 +84,8 @@ TEST(test_neighbours_hit_what_they_hit_alone)
     exact_trace(&setup, rays, RAYS, hits);
     exact_trace(&setup, scattered, RAYS, others);
     for (uint32_t i = 0; i < RAYS; i++) {
-        const struct bake_exact_hit *hit = &hits[(uint64_t)i * STEP % RAYS];
-        found += hit->triangle != BAKE_EXACT_NONE;
+        const struct bake_hit *hit = &hits[(uint64_t)i * STEP % RAYS];
+        found += hit->triangle != BAKE_NO_HIT;
         assert_true(hit->triangle == others[i].triangle);
         assert_true(hit->t == others[i].t);
         if (i % 16 == 0)
@@ -99,8 +98,8 @@ TEST(test_neighbours_hit_what_they_hit_alone)
 TEST(test_soup_agrees_with_brute_force)
 {
     enum { RAYS = 6000 };
-    static struct bake_exact_ray rays[RAYS];
-    static struct bake_exact_hit hits[RAYS];
+    static struct bake_ray rays[RAYS];
+    static struct bake_hit hits[RAYS];
     static float reaches[RAYS];
     struct triangle_scan mesh = exact_soup(2000);
     exact_write_scan(&mesh, 97);
@@ -120,7 +119,7 @@ TEST(test_soup_agrees_with_brute_force)
         for (uint32_t r = 0; r < RAYS; r++) {
             check_by_force(&mesh, &setup, &rays[r], setup.reaches ? (double)reaches[r] : 0,
                            &hits[r]);
-            found += hits[r].triangle != BAKE_EXACT_NONE;
+            found += hits[r].triangle != BAKE_NO_HIT;
         }
         assert_in_range(found, RAYS / 10, RAYS);
     }
@@ -133,8 +132,8 @@ TEST(test_soup_agrees_with_brute_force)
 TEST(test_no_ray_slips_through_edges_and_vertices)
 {
     enum { RAYS = 1 << 20 };
-    struct bake_exact_ray *rays = calloc(RAYS, sizeof *rays);
-    struct bake_exact_hit *hits = calloc(RAYS, sizeof *hits);
+    struct bake_ray *rays = calloc(RAYS, sizeof *rays);
+    struct bake_hit *hits = calloc(RAYS, sizeof *hits);
     struct triangle_scan mesh = exact_torus(120, 90);
     struct exact_setup setup = {
         .threads = 2, .normals = BSQ_SCAN_NORMALS_FLAT, .two_sided = true, .t_max = 0.7};
@@ -154,7 +153,7 @@ TEST(test_no_ray_slips_through_edges_and_vertices)
     }
     exact_trace(&setup, rays, RAYS, hits);
     for (uint32_t r = 0; r < RAYS; r++)
-        if (hits[r].triangle == BAKE_EXACT_NONE)
+        if (hits[r].triangle == BAKE_NO_HIT)
             fail_msg("ray %u slipped through", r);
     free(rays);
     free(hits);
@@ -165,8 +164,8 @@ TEST(test_no_ray_slips_through_edges_and_vertices)
 TEST(test_rays_that_meet_edges_exactly_hit)
 {
     enum { SIDE = 64, STEPS = 4 * SIDE + 1, RAYS = STEPS * STEPS };
-    static struct bake_exact_ray rays[RAYS];
-    static struct bake_exact_hit hits[RAYS];
+    static struct bake_ray rays[RAYS];
+    static struct bake_hit hits[RAYS];
     struct triangle_scan mesh = triangle_scan_new((SIDE + 1) * (SIDE + 1), 2 * SIDE * SIDE);
     for (uint32_t v = 0; v < mesh.vertex_count; v++) {
         mesh.positions[v][0] = (float)(v % (SIDE + 1));
@@ -190,7 +189,7 @@ TEST(test_rays_that_meet_edges_exactly_hit)
         }
         exact_trace(&setup, rays, RAYS, hits);
         for (uint32_t r = 0; r < RAYS; r++) {
-            assert_true(hits[r].triangle != BAKE_EXACT_NONE);
+            assert_true(hits[r].triangle != BAKE_NO_HIT);
             assert_true(hits[r].t == 0.0);
             assert_true(hits[r].normal[2] == -1.0f); /* the rays meet the square's back */
         }

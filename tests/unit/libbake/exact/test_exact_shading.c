@@ -32,8 +32,8 @@ TEST(test_smooth_normals_across_borders)
     struct triangle_scan mesh = exact_torus(60, 40);
     mesh.smooth = true;
     double(*expected)[3] = smooth_normals(&mesh);
-    struct bake_exact_ray *rays = calloc(mesh.vertex_count, sizeof *rays);
-    struct bake_exact_hit *hits = calloc(mesh.vertex_count, sizeof *hits);
+    struct bake_ray *rays = calloc(mesh.vertex_count, sizeof *rays);
+    struct bake_hit *hits = calloc(mesh.vertex_count, sizeof *hits);
     for (uint32_t v = 0; v < mesh.vertex_count; v++) {
         memcpy(rays[v].origin, mesh.positions[v], 12);
         double to[3];
@@ -63,9 +63,9 @@ TEST(test_smooth_normals_across_borders)
 TEST(test_normals_are_those_of_the_file)
 {
     struct triangle_scan mesh = exact_torus(30, 20);
-    struct bake_exact_hit hits[BSQ_SCAN_NORMALS_FLAT + 1];
+    struct bake_hit hits[BSQ_SCAN_NORMALS_FLAT + 1];
     const double to[3] = {0, 0, 0};
-    struct bake_exact_ray ray;
+    struct bake_ray ray;
     for (int k = 0; k < 3; k++)
         ray.origin[k] = 1.1f * mesh.positions[0][k] - 0.3f * mesh.positions[31][k] +
                         0.2f * mesh.positions[1][k];
@@ -81,7 +81,7 @@ TEST(test_normals_are_those_of_the_file)
         if (w == BSQ_SCAN_NORMALS_ANGLE || w == BSQ_SCAN_NORMALS_MAX)
             continue;
         exact_trace(&setup, &ray, 1, &hits[w]);
-        assert_true(hits[w].triangle != BAKE_EXACT_NONE);
+        assert_true(hits[w].triangle != BAKE_NO_HIT);
     }
     assert_memory_equal(hits[BSQ_SCAN_NORMALS_AUTO].normal, hits[BSQ_SCAN_NORMALS_AREA].normal, 12);
     assert_memory_not_equal(hits[BSQ_SCAN_NORMALS_AUTO].normal, hits[BSQ_SCAN_NORMALS_FLAT].normal,
@@ -129,13 +129,13 @@ TEST(test_smooth_normals_ignore_repeated_vertices)
             sum[k] = left[k] + 2 * right[k];
             length += sum[k] * sum[k];
         }
-        struct bake_exact_hit hit = exact_trace_one(&setup, 0, 0, 0, 1);
+        struct bake_hit hit = exact_trace_one(&setup, 0, 0, 0, 1);
         assert_true(hit.t == (double)height);
         for (int k = 0; k < 3; k++)
             assert_true(fabs((double)hit.normal[k] - sum[k] / sqrt(length)) < 1e-6);
     }
     setup.normals = BSQ_SCAN_NORMALS_FLAT;
-    struct bake_exact_hit hit = exact_trace_one(&setup, 0.25f, 0.5f, 0, 1);
+    struct bake_hit hit = exact_trace_one(&setup, 0.25f, 0.5f, 0, 1);
     assert_true(fabs((double)hit.normal[0] - 0.25 / sqrt(1.0625)) < 1e-6);
     triangle_scan_free(&mesh);
 }
@@ -147,7 +147,7 @@ TEST(test_smooth_normals_end_at_creases)
     struct exact_setup setup = {.threads = 1, .t_min = -2, .t_max = 2};
     exact_write_scan(&mesh, 2);
     for (int side = -1; side <= 1; side += 2) {
-        struct bake_exact_hit hit = exact_trace_one(&setup, (float)side * 1e-3f, 1, 0, 1);
+        struct bake_hit hit = exact_trace_one(&setup, (float)side * 1e-3f, 1, 0, 1);
         assert_true(fabs((double)hit.normal[0] - side * sqrt(0.5)) < 1e-6);
         assert_true(fabs((double)hit.normal[2] - sqrt(0.5)) < 1e-6);
     }
@@ -162,7 +162,7 @@ TEST(test_vertex_normals_are_interpolated)
     for (int v = 0; v < 4; v++)
         mesh.normals[v] = bsq_oct_pack(v == 1 ? bsq_v3(0.6f, 0, 0.8f) : bsq_v3(0, 0, 1));
     exact_write_scan(&mesh, 1);
-    struct bake_exact_hit hit = exact_trace_one(&setup, 1.5f, 0.5f, 0, 1);
+    struct bake_hit hit = exact_trace_one(&setup, 1.5f, 0.5f, 0, 1);
     /* Weights: 1/4 of (0 0), 1/2 of (2 0), 1/4 of (2 2). */
     const double x = 0.5 * 0.6, z = 0.5 * 0.8 + 0.5, length = sqrt(x * x + z * z);
     assert_true(fabs((double)hit.normal[0] - x / length) < 1e-4);
@@ -177,7 +177,7 @@ static double linear(double srgb)
     return srgb <= 0.04045 ? srgb / 12.92 : pow((srgb + 0.055) / 1.055, 2.4);
 }
 
-static void expect_color(const struct bake_exact_hit *hit, double r, double g, double b, double by)
+static void expect_color(const struct bake_hit *hit, double r, double g, double b, double by)
 {
     const double expected[3] = {r, g, b};
     for (int k = 0; k < 3; k++)
@@ -192,7 +192,7 @@ TEST(test_vertex_colors_mix_in_linear_light)
     mesh.attributes = FMT_TRIS_COLORS;
     mesh.colors[1] = 0xff0080ff; /* R 255, G 128, B 0 */
     exact_write_scan(&mesh, 2);
-    struct bake_exact_hit hit = exact_trace_one(&setup, 1.5f, 0.5f, 0, 1);
+    struct bake_hit hit = exact_trace_one(&setup, 1.5f, 0.5f, 0, 1);
     expect_color(&hit, 0.5, 0.5 * linear(128 / 255.0), 0, 1e-6);
     triangle_scan_free(&mesh);
 }
@@ -222,8 +222,8 @@ static void write_picture(uint32_t side)
 TEST(test_textures_and_materials)
 {
     struct triangle_scan mesh = exact_square();
-    struct bake_exact_footprint narrow = {{{0, 0, 0}, {0, 0, 0}}};
-    struct bake_exact_footprint wide = {{{0.25f, 0, 0}, {0, 0.001f, 0}}};
+    struct bake_footprint narrow = {{{0, 0, 0}, {0, 0, 0}}};
+    struct bake_footprint wide = {{{0.25f, 0, 0}, {0, 0.001f, 0}}};
     struct exact_setup setup = {
         .threads = 1, .color = true, .t_min = -1, .t_max = 1, .footprint = &narrow};
     write_picture(64);
@@ -240,7 +240,7 @@ TEST(test_textures_and_materials)
     exact_write_scan(&mesh, 1);
     /* Centres of texels of column 41, which is white, at low and at high v. */
     const float x = 2 * 41.5f / 64;
-    struct bake_exact_hit hit = exact_trace_one(&setup, x, 0.25f, 0, 1);
+    struct bake_hit hit = exact_trace_one(&setup, x, 0.25f, 0, 1);
     expect_color(&hit, 1, 1, 0, 1e-3);
     hit = exact_trace_one(&setup, x, 1.25f, 0, 1);
     expect_color(&hit, 1, 1, 1, 1e-3);

@@ -15,8 +15,8 @@ static const double pi = 3.14159265358979323846;
 /* Rays, their hits and what the rays from the hits found. */
 struct view {
     uint64_t count;
-    struct bake_exact_ray *rays, *open; /* open: the first open ray of each hit */
-    struct bake_exact_hit *hits;
+    struct bake_ray *rays, *open; /* open: the first open ray of each hit */
+    struct bake_hit *hits;
     bk_share *shares;
     bk_surroundings *found;
     uint64_t loads;
@@ -57,18 +57,17 @@ static struct bk_params usual(uint32_t rays)
 }
 
 /* Returns the first open ray of a hit. */
-static struct bake_exact_ray open_ray(const struct bake_exact *exact,
-                                      const struct bk_params *params, const struct view *view,
-                                      uint64_t i)
+static struct bake_ray open_ray(const struct bake_exact *exact, const struct bk_params *params,
+                                const struct view *view, uint64_t i)
 {
-    const struct bake_exact_hit *hit = &view->hits[i];
+    const struct bake_hit *hit = &view->hits[i];
     const double lift = (double)bake_exact_lift(exact);
     const bk_rays kind = bk_rays_of(params, 1);
     const bk_viewpoint viewpoint = {.normal = bk_v3(hit->normal[0], hit->normal[1], hit->normal[2]),
                                     .facet = bk_v3(hit->facet[0], hit->facet[1], hit->facet[2]),
                                     .share = view->shares[i]};
     const bk_vec3w d = bk_ray_directions(&kind, &viewpoint, 0);
-    struct bake_exact_ray ray = {.direction = {d.x, d.y, d.z}};
+    struct bake_ray ray = {.direction = {d.x, d.y, d.z}};
     for (int k = 0; k < 3; k++)
         ray.origin[k] =
             (float)((double)view->rays[i].origin[k] + hit->t * (double)view->rays[i].direction[k] +
@@ -79,12 +78,12 @@ static struct bake_exact_ray open_ray(const struct bake_exact *exact,
 static void look(const struct exact_setup *setup, const struct bk_params *params, struct view *view)
 {
     struct bsq_ctx *ctx = test_context(setup->threads, setup->memory);
-    const struct bake_exact_batch batch = {.rays = view->rays,
-                                           .hits = view->hits,
-                                           .count = view->count,
-                                           .t_min = setup->t_min,
-                                           .t_max = setup->t_max,
-                                           .facing_origin = setup->facing_origin};
+    const struct bake_ray_batch batch = {.rays = view->rays,
+                                         .hits = view->hits,
+                                         .count = view->count,
+                                         .t_min = setup->t_min,
+                                         .t_max = setup->t_max,
+                                         .facing_origin = setup->facing_origin};
     const struct bake_look_hits hits = {
         .rays = view->rays, .hits = view->hits, .shares = view->shares, .count = view->count};
     struct bake_options options;
@@ -101,7 +100,7 @@ static void look(const struct exact_setup *setup, const struct bk_params *params
     const uint64_t loads = bake_surface_loads(&surface);
     assert_int_equal(bake_look_around(looking, &hits, view->found), 0);
     for (uint64_t i = 0; i < view->count; i++)
-        if (view->hits[i].triangle != BAKE_EXACT_NONE)
+        if (view->hits[i].triangle != BAKE_NO_HIT)
             view->open[i] = open_ray(surface.scans->exact, params, view, i);
     view->loads = bake_surface_loads(&surface) - loads;
     bake_look_free(looking);
@@ -162,9 +161,9 @@ TEST(test_a_narrow_gap_is_dark)
         add_rectangle(&mesh, (float[]){x, 0, 0}, (float[]){1, 0, 0}, (float[]){0, 1, 0});
         add_rectangle(&mesh, (float[]){x, 0, 0.004f}, (float[]){0, 1, 0}, (float[]){1, 0, 0});
         end_mesh(&mesh);
-        view.rays[0] = (struct bake_exact_ray){{x + 0.5f, 0.4f, 0.002f}, {0, 0, -1}};
+        view.rays[0] = (struct bake_ray){{x + 0.5f, 0.4f, 0.002f}, {0, 0, -1}};
         look(&setup, &params, &view);
-        assert_true(view.hits[0].triangle != BAKE_EXACT_NONE);
+        assert_true(view.hits[0].triangle != BAKE_NO_HIT);
         assert_near((double)view.found[0].open, 0, 0.001, "in a narrow gap");
         view_free(&view);
     }
@@ -205,7 +204,7 @@ TEST(test_a_ball_is_open_and_thick)
         }
         look(&setup, &params, &view);
         for (int i = 0; i < POINTS; i++) {
-            assert_true(view.hits[i].triangle != BAKE_EXACT_NONE);
+            assert_true(view.hits[i].triangle != BAKE_NO_HIT);
             assert_int_equal(view.hits[i].reversed, inwards);
             assert_near((double)view.found[i].open, 1, 0, "of a ball");
             assert_near((double)(view.found[i].thickness / view.found[i].solids), 4 * r / 3,
@@ -236,7 +235,7 @@ static RTCScene embree_scene(RTCDevice device, const struct triangle_scan *mesh)
     return scene;
 }
 
-static bool embree_occluded(RTCScene scene, const struct bake_exact_ray *ray, float limit)
+static bool embree_occluded(RTCScene scene, const struct bake_ray *ray, float limit)
 {
     struct RTCIntersectContext context;
     struct RTCRay query = {.org_x = ray->origin[0],
@@ -271,7 +270,7 @@ TEST(test_rays_are_hidden_where_embree_hides_them)
         params.open_limit = limits[i];
         look(&setup, &params, &view);
         for (uint32_t r = 0; r < RAYS; r++) {
-            if (view.hits[r].triangle == BAKE_EXACT_NONE)
+            if (view.hits[r].triangle == BAKE_NO_HIT)
                 continue;
             const bool hidden = view.found[r].open == 0;
             count++;
@@ -343,7 +342,7 @@ TEST(test_short_rays_load_few_chunks)
     struct view view = view_new(RAYS);
     exact_write_scan(&mesh, 1500);
     for (int i = 0; i < RAYS; i++) {
-        view.rays[i] = (struct bake_exact_ray){{exact_between(1.1, 1.3), 0, 0.6f}, {0, 0, -1}};
+        view.rays[i] = (struct bake_ray){{exact_between(1.1, 1.3), 0, 0.6f}, {0, 0, -1}};
         view.rays[i].origin[1] = exact_between(-0.1, 0.1);
     }
     params.maps = 1u << BK_MAP_ao;
