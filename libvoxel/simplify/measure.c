@@ -359,11 +359,11 @@ static int measure_samples(void *arg, uint64_t index, unsigned worker)
     (void)worker;
     for (uint32_t begin = 0; begin < m->pending_count; begin += BUNDLE) {
         const struct bundle *bundle = &m->bundles[begin / BUNDLE];
-        if (begin % (128 * BUNDLE) == 0)
-            BSQ_TRY(bsq_check(m->ctx));
         if (vox_box_square(info->bounds_min, info->bounds_max, bundle->low, bundle->high) >=
             bundle->most)
             continue;
+        /* Far away from the scan, samples visit much of each tree. */
+        BSQ_TRY(bsq_check(m->ctx));
         for (uint32_t j = begin; j < begin + BUNDLE && j < m->pending_count; j++)
             BSQ_TRY(measure_sample(m, index, m->pending[j], &in));
     }
