@@ -45,7 +45,8 @@ if [ -s "$ptx" ]; then
         done
     done
     holds "most failures were reached: $warned" [ "$warned" -ge 15 ]
-    FAKE_CUDA_FAIL=cuStreamQuery:3:719 cuda --device cuda $maps -o 'x_<MAP>.exr'
+    # With a second thread, its next call could fail first.
+    FAKE_CUDA_FAIL=cuStreamQuery:3:719 cuda --device cuda ${maps#--threads 2} --threads 1 -o 'x_<MAP>.exr'
     code 69
     refused 69 "$p Fake GPU 0 (CUDA): cuLaunchKernel: CUDA_ERROR_LAUNCH_FAILED (unspecified launch failure)"
 else
