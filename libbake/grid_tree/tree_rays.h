@@ -32,7 +32,7 @@ struct bake_tree_ray {
     float inverse[3];
     float t_before; /* voxels are entered before it: t_end; far below 0 if only the first one is */
     float start[3];
-    float side; /* of the point */
+    float side; /* of the point, times bk_ray_rise(), or times 2 if that is 0 */
     int32_t base[3];
     float t_begin;
     int32_t first[3]; /* voxel in which the walk begins */

@@ -403,10 +403,12 @@ static void add_rays(struct bake_tree_tracer *tracer, const bk_viewpoint *point,
         bk_ray_along(bk_splat3(bk_ray_start(kind, point)), direction,
                      bk_scalew(direction, bk_splat(point->side)), bk_mask_of((1u << count) - 1u));
     const bk_fw limit = bk_splat(kind->limit);
-    bk_walk walk = {.t_start = bk_splat(0.0f), .t_limit = limit};
+    const bk_fw rise = bk_ray_rise(kind, point, direction);
+    bk_walk walk;
     bk_fw t_near, t_far, t;
     bk_cursor cursor;
 
+    bk_set_walk(kind, rise, &walk);
     bk_bounds(&line, tracer->params, &t_near, &t_far);
     const bk_fw t_end = bk_minw(limit, t_far);
     const bk_uint walked = bk_begin_walk(tracer->params, &line, &walk, t_near, t_end, &t, &cursor);
@@ -429,7 +431,8 @@ static void add_rays(struct bake_tree_tracer *tracer, const bk_viewpoint *point,
     floats_store_rows(to, offsetof(struct bake_tree_ray, member), (bk_fw)(a), (bk_fw)(b),          \
                       (bk_fw)(c), (bk_fw)(d))
     STORE_ROW(inverse, line.inverse.x, line.inverse.y, line.inverse.z, t_before);
-    STORE_ROW(start, line.start.x, line.start.y, line.start.z, bk_splat(point->side));
+    STORE_ROW(start, line.start.x, line.start.y, line.start.z,
+              point->side * bk_select(rise == 0.0f, bk_splat(2.0f), rise));
     STORE_ROW(base, line.bx, line.by, line.bz, t);
     STORE_ROW(first, cursor.x, cursor.y, cursor.z, t_end);
     STORE_ROW(direction, line.direction.x, line.direction.y, line.direction.z, bk_splati(3));

@@ -17,6 +17,7 @@ enum { BLOCK_VOXELS = 64 };
 /* Visits of the pairs of a ray and a voxel, and which voxels of their rays still count. */
 struct group {
     bk_visits visits;
+    bk_fw rise; /* of bk_ray_rise() */
     bk_fw t_before, t_stop;
     bk_iw stop_axis;
 };
@@ -85,7 +86,8 @@ static void voxels_load_group(const struct bake_tree_tracer *tracer, uint32_t fi
     group->t_stop = row[3];
     floats_load_rows(rays, offsetof(struct bake_tree_ray, direction), row);
     to->direction = bk_v3w(row[0], row[1], row[2]);
-    to->facing = bk_scalew(to->direction, side);
+    group->rise = bk_keep(bk_less(bk_absw(side), bk_splat(1.5f)), bk_absw(side));
+    to->facing = bk_scalew(to->direction, side / bk_absw(side));
     group->stop_axis = (bk_iw)row[3];
     floats_load_rows(rays, offsetof(struct bake_tree_ray, margin), row);
     visits->t_end = row[3];
@@ -121,6 +123,10 @@ static void drop_averted(struct bake_tree_tracer *tracer)
 {
     struct bake_tree_stream *stream = tracer->stream;
     uint32_t kept = 0;
+    bk_cursor cursor = {0}; /* unused by rays into the solid */
+    bk_ray ray = {0};
+    bk_walk walk;
+    bk_set_walk(tracer->kind, bk_splat(0.0f), &walk);
     for (uint32_t first = 0; first < tracer->voxels; first += BK_WIDTH) {
         const uint32_t left = tracer->voxels - first, count = left < BK_WIDTH ? left : BK_WIDTH;
         const void *rays[BK_WIDTH];
@@ -133,9 +139,9 @@ static void drop_averted(struct bake_tree_tracer *tracer)
         }
         floats_load_rows(rays, offsetof(struct bake_tree_ray, start), start);
         floats_load_rows(rays, offsetof(struct bake_tree_ray, direction), direction);
-        const bk_vec3w along = bk_v3w(direction[0], direction[1], direction[2]);
-        for (bk_uint lanes = bk_find_facing(tracer->grid, (1u << count) - 1u, values,
-                                            bk_scalew(along, start[3]));
+        ray.facing = bk_scalew(bk_v3w(direction[0], direction[1], direction[2]), start[3]);
+        for (bk_uint lanes = bk_find_met(tracer->grid, &walk, &ray, (1u << count) - 1u, values,
+                                         &cursor, bk_splat(0.0f));
              lanes; lanes &= lanes - 1) {
             const uint32_t at = first + bk_first(lanes);
             stream->voxel[kept] = stream->voxel[at];
@@ -159,22 +165,24 @@ static void test_voxels(struct bake_tree_tracer *tracer)
         voxels_load_group(tracer, first, left < BK_WIDTH ? left : BK_WIDTH, &group);
         visits->t_event = bk_find_entry(visits, &visits->cursor, &visits->axis);
         visits->t_exit = bk_find_exit(&visits->ray, &visits->cursor, &visits->exit_axis);
-        const bk_uint lanes = bk_bits(
+        bk_uint lanes = bk_bits(
             visits->ray.valid & bk_less(visits->t_event, group.t_before) &
             bk_comes_before(visits->t_event, visits->axis, visits->t_exit, visits->exit_axis) &
             bk_comes_before(visits->t_event, visits->axis, group.t_stop, group.stop_axis));
         const bk_fw t = bk_maxw(visits->t_begin, visits->t_event);
         const bk_uint coarse =
             lanes & bk_bits(bk_not(bk_less(t, bk_splat(tracer->params->coarse))));
+        bk_set_walk(tracer->kind, group.rise, &walk);
+        const bk_uint near = lanes & ~coarse & bk_bits(bk_less(t, walk.t_near));
+        if (near)
+            lanes ^= near ^ bk_find_met(tracer->grid, &walk, &visits->ray, near, visits->values,
+                                        &visits->cursor, t);
         if (lanes == 0)
             continue;
-        walk.t_start = bk_splat(0.0f);
-        walk.t_limit = bk_splat(tracer->kind->limit);
-        walk.two_sided = bk_mask_of(tracer->kind->open ? ~0u : 0u);
         bk_clear_walk(&walk);
         if (lanes & ~coarse)
-            bk_meet_visits(tracer->grid, tracer->params, &tracer->cache, visits, tracer->kind->open,
-                           lanes & ~coarse, t, &walk);
+            bk_meet_visits(tracer->grid, tracer->params, &tracer->cache, visits, lanes & ~coarse, t,
+                           &walk);
         if (coarse)
             bk_stop(&walk, bk_mask_of(coarse), t);
         for (bk_uint found = bk_bits(walk.hit.found) & lanes; found; found &= found - 1) {

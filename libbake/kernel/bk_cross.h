@@ -37,9 +37,14 @@ typedef struct bk_crossing {
 /* Side of the sheet in the last voxel on which a ray is: no sheet, before it, after it. */
 enum { BK_APART, BK_BELOW, BK_ABOVE };
 
+/* Planes that are farther than this from a point, in voxels, are not of its own surface. */
+#define BK_OWN 0.25f
+
 /* The state of walks along half rays. */
 typedef struct bk_walk {
     bk_fw t_start, t_limit;
+    bk_uint open; /* not 0: open rays, bk_secondary.h */
+    bk_fw t_near; /* of open rays: until then they are near a crowded point */
     bk_mask two_sided;
     bk_crossing hit;
     bk_iw side;
@@ -186,6 +191,33 @@ BK_FN void bk_end_run(bk_walk *walk, bk_mask lanes)
     walk->side = bk_selecti(lanes, bk_splati(BK_APART), walk->side);
 }
 
+/* Returns the distances of the points at t = 0 from the planes of records in these voxels. */
+BK_FN bk_fw bk_plane_distance(const bk_ray *ray, const bk_record *record, const bk_cursor *cursor)
+{
+    const bk_vec3w from = bk_v3w(bk_to_fw(ray->bx - cursor->x) + (ray->start.x - 0.5f),
+                                 bk_to_fw(ray->by - cursor->y) + (ray->start.y - 0.5f),
+                                 bk_to_fw(ray->bz - cursor->z) + (ray->start.z - 0.5f));
+
+    return bk_dotw(record->normal, from) - record->offset;
+}
+
+/* Returns the lanes whose rays may hit a record, of voxels that they enter at t: one that faces
+ * along them, or any if they are two-sided. Near a crowded point, an open ray hits only planes that
+ * face it and are not those of the point's own surface; it meets these at flat angles, so a plane
+ * that it meets steeply may be close to the point. distance: of bk_plane_distance(). */
+BK_FN bk_mask bk_meets(const bk_walk *walk, const bk_ray *ray, const bk_record *record,
+                       bk_fw distance, bk_fw t)
+{
+    const bk_fw zero = bk_splat(0.0f), along = bk_dotw(record->normal, ray->facing);
+    bk_fw own;
+
+    if (!walk->open)
+        return bk_less(zero, along) | walk->two_sided;
+    own = bk_maxw(BK_OWN + 4.0f * BK_OWN * along, zero);
+    return bk_not(bk_less(t, walk->t_near)) |
+           (bk_less(along, zero) & bk_less(own, bk_absw(distance)));
+}
+
 /* Tests a record of the voxels that rays are in from t_in to t_out. side and was_falling: the
  * walk's state on leaving the previous voxels. */
 BK_FN void bk_cross_record(bk_walk *walk, const bk_ray *ray, bk_mask lanes, const bk_record *record,
@@ -193,17 +225,16 @@ BK_FN void bk_cross_record(bk_walk *walk, const bk_ray *ray, bk_mask lanes, cons
                            bk_mask was_falling)
 {
     const bk_fw zero = bk_splat(0.0f);
-    const bk_mask faces = bk_less(zero, bk_dotw(record->normal, ray->facing)) | walk->two_sided;
-    const bk_mask tested = lanes & faces;
-    const bk_vec3w from = bk_v3w(bk_to_fw(ray->bx - cursor->x) + (ray->start.x - 0.5f),
-                                 bk_to_fw(ray->by - cursor->y) + (ray->start.y - 0.5f),
-                                 bk_to_fw(ray->bz - cursor->z) + (ray->start.z - 0.5f));
-    bk_fw f = bk_dotw(record->normal, from) - record->offset;
+    bk_fw f = bk_plane_distance(ray, record, cursor);
+    const bk_mask tested = lanes & bk_meets(walk, ray, record, f, t_in);
     bk_fw slope = bk_dotw(record->normal, ray->direction), f_in, f_out, at, t, outside;
     const bk_mask falling = bk_less(slope, zero);
     const bk_mask same = bk_not(falling ^ was_falling);
     bk_mask above, crossed, below, begun, sloped, waits, changed;
 
+    /* A crowded point may lie before a plane, and the start of its ray after it. */
+    if (walk->open)
+        t_in = bk_keep(bk_less(walk->t_start, t_in), t_in);
     f = bk_select(falling, -f, f);
     slope = bk_select(falling, -slope, slope);
     sloped = bk_less(zero, slope);

@@ -291,7 +291,9 @@ BK_FN bk_viewpoint bk_viewpoint_of_hit(const bk_params *params, const bk_samples
 
     viewpoint.solid_from = bk_lane3(&position, lane);
     viewpoint.normal = bk_lane3(&traced->hits.normal, lane);
-    viewpoint.open_from = bk_add_scaled(viewpoint.solid_from, BK_LIFT, viewpoint.normal);
+    viewpoint.crowded = traced->hits.crowded >> lane & 1u;
+    viewpoint.open_from =
+        bk_add_scaled(viewpoint.solid_from, viewpoint.crowded ? 0.0f : BK_LIFT, viewpoint.normal);
     viewpoint.facet = bk_v3(0.0f, 0.0f, 0.0f);
     viewpoint.side = traced->hits.reversed >> lane & 1u ? -1.0f : 1.0f;
     viewpoint.share = bk_sample_share(samples->x[lane], samples->y[lane], params->samples);

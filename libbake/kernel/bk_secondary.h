@@ -11,12 +11,14 @@
  * other directions and nothing depends on patches, threads or lanes.
  *
  * Open rays start one voxel above the hit: planes of neighbouring voxels do not meet exactly, and a
- * surface must not hide itself. So gaps of less than about a voxel look open. They end at any
- * surface, on either side. Rays into the solid start at the hit and end where they leave the solid,
- * at a surface that faces along them; the surface they start on faces against them. From
- * params->coarse on, any occupied voxel ends both kinds: how a far surface lies in its voxel hardly
- * matters, and its records need not be read. Rays that leave the grid inside the solid are not
- * counted: the scan has a hole, or they touched it only. */
+ * surface must not hide itself. They end at any surface, on either side. If another surface is
+ * beside the hit, or the hit lies in a hollow, that start would be past what hides it. Open rays of
+ * such crowded points come from the hit itself, and meet what is less than a voxel above its
+ * tangent plane by the rule of bk_meets(). Rays into the solid start at the hit and end where they
+ * leave the solid, at a surface that faces along them; the surface they start on faces against
+ * them. From params->coarse on, any occupied voxel ends both kinds: how a far surface lies in its
+ * voxel hardly matters, and its records need not be read. Rays that leave the grid inside the solid
+ * are not counted: the scan has a hole, or they touched it only. */
 #ifndef BAKE_KERNEL_BK_SECONDARY_H
 #define BAKE_KERNEL_BK_SECONDARY_H
 
@@ -26,6 +28,11 @@
 /* Distance above the hit at which open rays start, in voxels. It is larger than the margin of any
  * record, see bk_margin(). */
 #define BK_LIFT 1.0f
+
+/* Height above the tangent plane of a crowded point at which its open rays start, in voxels. */
+#define BK_NEAR_START 0.15f
+/* The least cosine between a ray and the normal, for these heights. */
+#define BK_RISE_MIN 0.05f
 
 /* From where a ray into the solid enters a far voxel to the surface, in voxels: the mean is 1 at
  * walls along the voxels, and 2 to 3 on scans, as rays also meet them at flat angles. */
@@ -37,7 +44,6 @@
 /* Weight of the thickness of a hit whose rays all leave the scan; each other ray has 1. */
 #define BK_LEAVING_WEIGHT (1.0f / 1048576.0f)
 
-#define BK_OPEN_MAPS      (1u << BK_MAP_ao | 1u << BK_MAP_bent)
 #define BK_SECONDARY_MAPS (BK_OPEN_MAPS | 1u << BK_MAP_thickness)
 
 /* What the rays of one hit found. */
@@ -52,8 +58,9 @@ typedef struct bk_surroundings {
 typedef struct bk_viewpoint {
     bk_vec3 open_from, solid_from; /* where rays start: above the surface; on it */
     bk_vec3 normal;                /* unit, away from the solid */
-    bk_vec3 facet; /* unit normal of the triangle, on that side; zero: there is none */
-    float side;    /* 1, or -1 if the scan's own normal points into the solid; 0: no rays start */
+    bk_vec3 facet;   /* unit normal of the triangle, on that side; zero: there is none */
+    float side;      /* 1, or -1 if the scan's own normal points into the solid; 0: no rays start */
+    bk_uint crowded; /* not 0: of bk_find_crowded(); both kinds of rays start on the surface */
     bk_share share;
 } bk_viewpoint;
 
@@ -222,6 +229,27 @@ BK_FN bk_surroundings bk_no_surroundings(void)
     none.open = none.thickness = none.solids = 0.0f;
     none.bent = bk_v3(0.0f, 0.0f, 0.0f);
     return none;
+}
+
+/* Returns the cosines of the angles between the open rays of a crowded point and its normal; 0 for
+ * other rays. */
+BK_FN bk_fw bk_ray_rise(const bk_rays *rays, const bk_viewpoint *from, bk_vec3w direction)
+{
+    if (!rays->open || !from->crowded)
+        return bk_splat(0.0f);
+    return bk_maxw(bk_dotw(direction, bk_splat3(from->normal)), bk_splat(BK_RISE_MIN));
+}
+
+/* Sets the bounds of rays' walks and what they meet. rise: of bk_ray_rise(). */
+BK_FN void bk_set_walk(const bk_rays *rays, bk_fw rise, bk_walk *walk)
+{
+    const bk_mask crowded = bk_less(bk_splat(0.0f), rise);
+
+    walk->open = rays->open;
+    walk->t_start = bk_keep(crowded, BK_NEAR_START / rise);
+    walk->t_near = bk_keep(crowded, BK_LIFT / rise);
+    walk->t_limit = bk_splat(rays->limit);
+    walk->two_sided = bk_mask_of(rays->open ? ~0u : 0u);
 }
 
 /* Adds up what the rays of a point found, in the order of rays, so that sums do not depend on

@@ -30,6 +30,10 @@
  * average, so the same share restores the loss from means over the other axes. A record's
  * facet-noise weight says how much of that to leave out. */
 #define BK_MEAN_SLOPE 0.5f
+/* Points that are farther than this before the plane of a voxel around them, in voxels, are
+ * crowded. That is a hollow with a curvature radius of about 8 voxels. */
+#define BK_CROWDED 0.04f
+
 /* Longest correction of a unit normal by the planes' offsets. */
 #define BK_CORRECTION_MAX 0.5f
 
@@ -97,6 +101,7 @@ BK_FN bk_fw bk_margin(bk_iw planes)
 typedef struct bk_cell {
     bk_int normals[8][BK_WIDTH], planes[8][BK_WIDTH]; /* as stored */
     bk_int present[BK_WIDTH];                         /* bit i: corner i has a record */
+    bk_int sheets[BK_WIDTH];                          /* not 0: some voxel has two records */
     bk_ulong numbers[8][BK_WIDTH];
 } bk_cell;
 
@@ -180,7 +185,7 @@ BK_FN void bk_cell_clear(bk_uint lane, bk_cell *cell)
         cell->planes[i][lane] = 0;
         cell->numbers[i][lane] = 0;
     }
-    cell->present[lane] = 0;
+    cell->present[lane] = cell->sheets[lane] = 0;
 }
 
 /* Fills one lane. Of two records in a voxel, takes the one whose orientation is closer to `sheet`.
@@ -198,7 +203,8 @@ BK_FN void bk_cell_load(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y
         cell->planes[i][lane] = (bk_int)plane;
         cell->numbers[i][lane] = values[i];
     }
-    if (!(planes & BK_PLANE_SECOND))
+    cell->sheets[lane] = (bk_int)(planes & BK_PLANE_SECOND);
+    if (!cell->sheets[lane])
         return;
     for (i = 0; i < 8; i++)
         if (values[i] != 0 && ((bk_uint)cell->planes[i][lane] & BK_PLANE_SECOND)) {

@@ -231,6 +231,7 @@ BK_FN void bk_walk_half(const bk_grid *grid, const bk_params *params, bk_cache *
     bk_bounds(ray, params, &t_near, &t_far);
     walk->t_start = t_start;
     walk->t_limit = t_limit;
+    walk->open = 0;
     walk->two_sided = bk_mask_of(params->flags & BK_TWO_SIDED ? ~0u : 0u);
     bk_walk_rays(grid, params, cache, ray, walk, t_near, t_far);
 }
@@ -277,9 +278,13 @@ BK_FN bk_crossing bk_nearest(const bk_grid *grid, const bk_params *params, bk_ca
 
 /* ---- tracing ---- */
 
+/* Maps that need open rays. */
+#define BK_OPEN_MAPS (1u << BK_MAP_ao | 1u << BK_MAP_bent)
+
 /* Hits of lines. */
 typedef struct bk_hits {
     bk_uint found;    /* one bit a lane */
+    bk_uint crowded;  /* alike: bk_find_crowded(), with BK_OPEN_MAPS */
     bk_uint reversed; /* alike: BK_TWO_SIDED let the ray hit the back of the scan's surface */
     bk_fw t;          /* signed distance in voxels along the direction */
     bk_vec3w normal;  /* unit, object space, along `facing`: turned round if the hit is reversed */
@@ -322,6 +327,21 @@ BK_FN bk_ulong bk_crossing_record(const bk_crossing *crossing, bk_uint lane)
            (bk_uint)bk_lane(crossing->low, lane);
 }
 
+/* Returns the lanes whose points have another surface beside them, or lie in a hollow: those before
+ * the plane of a voxel around them, or beside a voxel with two records. distance: of the points of
+ * the corners from the blended surface. */
+BK_FN bk_uint bk_find_crowded(const bk_cell *cell, const bk_corner corners[8], bk_fw distance)
+{
+    bk_mask crowded = bk_load_lanes(cell->sheets) != 0;
+    bk_uint i;
+
+    for (i = 0; i < 8; i++) {
+        const bk_mask there = (bk_load_lanes(cell->present) & (bk_int)(1u << i)) != 0;
+        crowded = crowded | (there & bk_less(distance + BK_CROWDED, corners[i].f));
+    }
+    return bk_bits(crowded);
+}
+
 /* Moves hits onto the blended surface and sets its normals and colours; adds to transfer maps.
  * Returns the lanes that have a blended surface. */
 BK_FN bk_uint bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cache *cache,
@@ -358,6 +378,8 @@ BK_FN bk_uint bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cac
     bk_set_slopes(&at.y, mean_slope);
     bk_set_slopes(&at.z, mean_slope);
     blend = bk_blend_corners(corners, tents, &at);
+    if (params->maps & BK_OPEN_MAPS)
+        hits->crowded = bk_find_crowded(&cell, corners, blend.distance) & bk_bits(blend.found);
     slope = bk_dotw(blend.normal, ray->direction);
     shift = bk_maxw(bk_splat(-0.5f), bk_minw(bk_splat(0.5f), blend.distance / slope));
     steep = bk_less(bk_splat(BK_GRAZING), bk_absw(slope)) & blend.found;
@@ -407,6 +429,7 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
     hits->found = bk_bits(crossing.found);
     hits->t = sign * crossing.t;
     hits->normal = crossing.normal;
+    hits->crowded = 0;
     hits->color = bk_v3w(zero, zero, zero);
     hits->id = bk_splati(0);
     if (params->flags & (BK_HAS_COLOR | BK_HAS_IDS))

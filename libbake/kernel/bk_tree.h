@@ -35,6 +35,7 @@ BK_FN float bk_tree_margin(bk_int low, bk_int high, float from)
 /* A ray on its way through the tree. */
 typedef struct bk_tree_walk {
     bk_visits visits;
+    float rise;     /* of bk_ray_rise() */
     bk_vec3 margin; /* of the t of a box's borders */
     float t_before; /* voxels are entered before it; far below 0 if only the first one is */
     /* How the voxel of the nearest hit is entered: at t_stop, across a border of stop_axis. Voxels
@@ -63,7 +64,8 @@ BK_FN void bk_tree_begin(const bk_params *params, const bk_rays *rays, const bk_
 
     visits->ray = bk_ray_along(start, direction, bk_scalew(direction, from->side), 1);
     bk_bounds(&visits->ray, params, &t_near, &t_far);
-    steps.t_start = 0.0f;
+    walk->rise = bk_ray_rise(rays, from, direction);
+    bk_set_walk(rays, walk->rise, &steps);
     visits->t_end = bk_min(rays->limit, t_far);
     walk->node = walk->is_leaf = walk->depth = 0;
     walk->children = bk_begin_walk(params, &visits->ray, &steps, t_near, visits->t_end,
@@ -118,7 +120,7 @@ BK_FN float bk_tree_entered(bk_int corner, bk_int first, bk_int base, float star
 /* Returns whether the ray of visits hits the surface in the occupied voxel that it enters at t, and
  * sets its t. */
 BK_FN bk_uint bk_tree_hit(const bk_grid *grid, const bk_params *params, const bk_rays *rays,
-                          bk_visits *visits, float *t)
+                          float rise, bk_visits *visits, float *t)
 {
     bk_cache cache = bk_cache_empty();
     bk_walk walk;
@@ -128,13 +130,12 @@ BK_FN bk_uint bk_tree_hit(const bk_grid *grid, const bk_params *params, const bk
         return 1;
     }
     bk_rank_voxels(grid, 1, &visits->cursor, visits->values);
-    if (!rays->open && !bk_find_facing(grid, 1, visits->values, visits->ray.facing))
+    bk_set_walk(rays, rise, &walk);
+    if ((!rays->open || *t < walk.t_near) &&
+        !bk_find_met(grid, &walk, &visits->ray, 1, visits->values, &visits->cursor, *t))
         return 0;
-    walk.t_start = 0.0f;
-    walk.t_limit = rays->limit;
-    walk.two_sided = (bk_mask)rays->open;
     bk_clear_walk(&walk);
-    bk_meet_visits(grid, params, &cache, visits, rays->open, 1, *t, &walk);
+    bk_meet_visits(grid, params, &cache, visits, 1, *t, &walk);
     *t = walk.hit.t;
     return bk_bits(walk.hit.found);
 }
@@ -219,7 +220,7 @@ BK_FN void bk_tree_block(const bk_grid *grid, const bk_params *params, const bk_
                 inside = bk_tree_leave(x, y, z, walk);
         } while (inside && !met);
         t = bk_max(visits->t_begin, visits->t_event);
-        if (met && bk_tree_hit(grid, params, rays, visits, &t)) {
+        if (met && bk_tree_hit(grid, params, rays, walk->rise, visits, &t)) {
             bk_tree_stop(params, rays, t, walk);
             return;
         }

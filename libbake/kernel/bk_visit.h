@@ -5,8 +5,8 @@
  *  - The records of a voxel are tested with the state that a walk has after the previous voxel on
  *    the ray. That state follows from the records of the previous voxel alone. A surface may also
  *    be crossed after a voxel, if the next one is empty.
- *  - Near voxels whose surface faces away from a ray into the solid only end runs, which the
- *    voxels before them see. So they need not be tested.
+ *  - Near voxels whose surface a ray cannot hit, see bk_meets(), only end runs, which the voxels
+ *    before them see. So they need not be tested.
  *
  * So voxels can be found through a tree, in any order, and rays hit what they would hit if they
  * went from voxel to voxel. */
@@ -124,21 +124,24 @@ BK_FN bk_uint bk_find_voxels(const bk_grid *grid, bk_cache *cache, const bk_visi
     return found;
 }
 
-/* Returns the lanes in which a record with one of these value indices faces along the ray. */
-BK_FN bk_uint bk_find_facing(const bk_grid *grid, bk_uint lanes, const bk_ulong values[BK_WIDTH],
-                             bk_vec3w facing)
+/* Returns the lanes whose rays may hit one of the records of voxels that they enter at t. */
+BK_FN bk_uint bk_find_met(const bk_grid *grid, const bk_walk *walk, const bk_ray *ray,
+                          bk_uint lanes, const bk_ulong values[BK_WIDTH], const bk_cursor *cursor,
+                          bk_fw t)
 {
-    const bk_fw zero = bk_splat(0.0f);
     bk_uint first, seconds, none;
     bk_record record;
+    bk_fw distance;
 
     bk_load_records(grid, lanes, values, 0, &record, &seconds);
-    first = lanes & bk_bits(bk_less(zero, bk_dotw(record.normal, facing)));
+    distance = bk_plane_distance(ray, &record, cursor);
+    first = lanes & bk_bits(bk_meets(walk, ray, &record, distance, t));
     seconds &= ~first;
     if (seconds == 0)
         return first;
     seconds = bk_load_records(grid, seconds, values, 1, &record, &none);
-    return first | (seconds & bk_bits(bk_less(zero, bk_dotw(record.normal, facing))));
+    distance = bk_plane_distance(ray, &record, cursor);
+    return first | (seconds & bk_bits(bk_meets(walk, ray, &record, distance, t)));
 }
 
 /* Sets the state of walks to the one after the previous voxels on the rays. */
@@ -160,11 +163,9 @@ BK_FN void bk_recall(const bk_grid *grid, bk_cache *cache, const bk_visits *visi
     walk->hit = bk_no_crossing();
 }
 
-/* Tests the records of visited voxels, in which rays are from t on. `walk` is a cleared one. open:
- * not 0 if the rays are open ones. */
+/* Tests the records of visited voxels, in which rays are from t on. `walk` is a cleared one. */
 BK_FN void bk_meet_visits(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                          const bk_visits *visits, bk_uint open, bk_uint lanes, bk_fw t,
-                          bk_walk *walk)
+                          const bk_visits *visits, bk_uint lanes, bk_fw t, bk_walk *walk)
 {
     const bk_fw t_out = bk_maxw(t, visits->t_exit);
     bk_uint over, below, on, near;
@@ -182,11 +183,12 @@ BK_FN void bk_meet_visits(const bk_grid *grid, const bk_params *params, bk_cache
      * not tested if it is near. */
     next = bk_beside(&visits->ray, &visits->cursor, visits->exit_axis, 0);
     on = bk_find_voxels(grid, cache, visits, below & bk_bits(bk_less(t_out, visits->t_end)), &next);
-    near = open ? 0 : on & bk_bits(bk_less(t_out, bk_splat(params->coarse)));
+    near = on & bk_bits(bk_less(t_out, bk_splat(params->coarse)) &
+                        (bk_less(t_out, walk->t_near) | bk_not(walk->two_sided)));
     if (near) {
         bk_ulong values[BK_WIDTH];
         bk_rank_voxels(grid, near, &next, values);
-        on ^= near ^ bk_find_facing(grid, near, values, visits->ray.facing);
+        on ^= near ^ bk_find_met(grid, walk, &visits->ray, near, values, &next, t_out);
     }
     bk_end_run(walk, bk_mask_of(below & ~on));
 }

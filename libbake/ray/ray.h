@@ -26,6 +26,7 @@ struct bake_hit {
     float facet[3];    /* unit normal of the triangle, on the side that counts as its front; of a
                           grid: zero */
     bool reversed;     /* that side is the scan's back */
+    bool crowded;      /* of a grid: bk_viewpoint.crowded */
     uint32_t scan;     /* of several scans: the one that was hit */
 };
 

@@ -3,7 +3,8 @@
  * A wall of one scan hides the floor of another. So these rays start when the nearest hit of each
  * sample is known. They are traced through one scan after the other, and between scans a ray is
  * only a bit or a distance (libbake/ray/ray.h). The rays are the same for all scans; in each, they
- * start as far above the surface as the coarser of the two scans needs. */
+ * start as far above the surface as the coarser of the two scans needs, or on it in the grid that
+ * was hit if the hit is crowded (bk_secondary.h). */
 #include "libbake/surface/surface.h"
 
 #include <math.h>
@@ -55,9 +56,10 @@ static double lift_of(const struct bake_surface *surface, uint32_t scan)
                  : (double)BK_LIFT * surface->scans[scan].unit;
 }
 
-/* Sets the viewpoint of a hit in a space given by its origin and its unit. */
+/* Sets the viewpoint of a hit in a space given by its origin and its unit. own: of the scan that
+ * was hit. */
 static void set_viewpoint(const struct view *view, uint64_t index, const double translation[3],
-                          double unit, double lift, bk_viewpoint *out)
+                          double unit, bool own, double lift, bk_viewpoint *out)
 {
     const struct bake_surface *surface = view->look->surface;
     const struct bake_ray *ray = &view->hits->rays[index];
@@ -70,13 +72,14 @@ static void set_viewpoint(const struct view *view, uint64_t index, const double 
             (double)ray->origin[k] * surface->unit + hit->t * (double)ray->direction[k];
         const double p = (at + (surface->translation[k] - translation[k])) / unit;
         on[k] = (float)p;
-        above[k] = (float)(p + lift / unit * (double)up[k]);
+        above[k] = own && hit->crowded ? on[k] : (float)(p + lift / unit * (double)up[k]);
     }
     *out = (bk_viewpoint){.open_from = bk_v3(above[0], above[1], above[2]),
                           .solid_from = bk_v3(on[0], on[1], on[2]),
                           .normal = bk_v3(hit->normal[0], hit->normal[1], hit->normal[2]),
                           .facet = bk_v3(facet[0], facet[1], facet[2]),
                           .side = hit->reversed ? -1.0f : 1.0f,
+                          .crowded = own && hit->crowded,
                           .share = view->hits->shares[index]};
 }
 
@@ -88,7 +91,7 @@ static bool get_viewpoint(const void *arg, uint64_t index, bk_viewpoint *out)
     const struct bake_hit *hit = &view->hits->hits[view->first + index];
     if (hit->triangle == BAKE_NO_HIT || !sees(view, view->first + index, view->scan))
         return false;
-    set_viewpoint(view, view->first + index, scan->translation, scan->unit,
+    set_viewpoint(view, view->first + index, scan->translation, scan->unit, view->scan == hit->scan,
                   fmax(lift_of(surface, view->scan), lift_of(surface, hit->scan)), out);
     return true;
 }
@@ -205,7 +208,7 @@ static int sum_task(void *arg, uint64_t begin, uint64_t end, unsigned worker)
                 low[k] = fmin(low[k], surface->scans[s].scan_min[k] - surface->translation[k]);
                 high[k] = fmax(high[k], surface->scans[s].scan_max[k] - surface->translation[k]);
             }
-        set_viewpoint(view, index, surface->translation, 1, 0, &viewpoint);
+        set_viewpoint(view, index, surface->translation, 1, false, 0, &viewpoint);
         view->out[index] = sum_rays(look, &viewpoint, i, low, high, found);
         view->out[index].thickness /= (float)surface->unit;
     }

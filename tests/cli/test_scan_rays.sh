@@ -80,12 +80,26 @@ ok run bisque-compare one.exr two.exr --type data --max-mean 0.01 --max-error 0.
 # of its height of 64 or more, and half of one towards the floor, are a share of 0.004 each. Farther
 # away than anything in the scans, they hide nothing more.
 for scans in "both.nvdb" "floor.nvdb wall.nvdb"; do
-    for from in none 2 1000; do
+    for from in none 8 1000; do
         ok $bake $usual --maps ao --ao coarse=$from $scans foot.obj -o from_$from.exr
     done
-    run bisque-compare from_none.exr from_2.exr --force --type data --json
+    run bisque-compare from_none.exr from_8.exr --force --type data --json
     json '.mean > 0.004 and .mean < 0.02'
     ok run bisque-compare from_none.exr from_1000.exr --type data --max-error 0
+done
+
+# A roof half a voxel above the floor hides all of it, 0.88 of it with falloff, although rays that start a voxel above
+# the floor would be past the roof.
+patch roof 0 -1 0.03125 0 2 0 1 0 0
+scan gap 0.0625 floor.obj roof.obj
+gap="$usual --front 0.08 --as-is --maps ao --distance ao=0.5"
+for falloff in none linear; do
+    for scan in gap.tris gap.nvdb; do
+        ok $bake $gap --ao falloff=$falloff $scan foot.obj -o $scan.exr
+    done
+    ok run bisque-compare gap.nvdb.exr gap.tris.exr --force --type data --max-mean 0.02
+    run bisque-compare gap.tris.exr mask.exr --force --type data --json
+    json '.mean > 0.85'
 done
 
 # ---- the other side of a slab is another scan ----

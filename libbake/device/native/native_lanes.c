@@ -179,7 +179,8 @@ static void get_hit(const bk_hits *hits, bk_uint lane, double unit, struct bake_
     *out = (struct bake_hit){.triangle = hits->found >> lane & 1 ? 0 : BAKE_NO_HIT,
                              .t = (double)bk_lane(hits->t, lane) * unit,
                              .id = (bk_uint)bk_lane(hits->id, lane),
-                             .reversed = hits->reversed >> lane & 1};
+                             .reversed = hits->reversed >> lane & 1,
+                             .crowded = hits->crowded >> lane & 1};
     bk_copy_lane(&hits->normal, lane, out->normal);
     bk_copy_lane(&hits->color, lane, out->color);
 }

@@ -51,9 +51,10 @@ float walked_ray(const bk_grid *grid, const bk_params *params, const bk_rays *ki
 {
     const bk_ray ray = bk_ray_along(bk_splat3(bk_ray_start(kind, point)), direction,
                                     bk_scalew(direction, point->side), ~0);
-    bk_walk walk = {.t_limit = kind->limit, .two_sided = kind->open ? ~0 : 0};
     float t_near, t_far, t;
     bk_cursor cursor;
+    bk_walk walk;
+    bk_set_walk(kind, bk_ray_rise(kind, point, direction), &walk);
     bk_bounds(&ray, params, &t_near, &t_far);
     const float t_end = fminf(kind->limit, t_far);
     if (bk_begin_walk(params, &ray, &walk, t_near, t_end, &t, &cursor)) {
