@@ -43,12 +43,16 @@ bench-blender: all $(generator) $(BUILD)/tests/measure
 simplify_venv := build/simplify-venv
 $(simplify_venv)/ready: tests/bench/bench.mk
 	@python3 -m venv $(simplify_venv) && $(simplify_venv)/bin/pip install -q \
-	    fast_simplification==0.2.0 pyfqmr==0.5.0 trimesh==5.2.0 scipy==1.17.1 numpy==2.4.6 pillow==13.0.0 && touch $@
+	    fast_simplification==0.2.0 meshoptimizer==0.2.30a0 meshlib==3.1.4.297 open3d==0.20.0 pymeshlab==2025.7.post1 \
+	    scikit-image==0.26.0 trimesh==5.2.0 scipy==1.17.1 numpy==2.4.6 pillow==13.0.0 && touch $@
+# Lindstrom and Turk's method as CGAL has it, if its headers (libcgal-dev) are installed.
+$(BUILD)/simplify_cgal: tests/bench/simplify_cgal.cpp
+	@if [ -d /usr/include/CGAL ]; then $(CXX) -O2 -std=c++17 -DNDEBUG $< -lgmp -lmpfr -o $@; fi
 
 .PHONY: bench-simplify
-## bench-simplify: compare bisque-simplify with others from PyPI, SCANS='a.obj b.obj' (default: generated)
-bench-simplify: all $(generator) $(simplify_venv)/ready
-	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests $(simplify_venv)/bin/python3 tests/bench/simplify.py $(SCANS)
+## bench-simplify: compare bisque-simplify with others from PyPI and CGAL, SCANS='a.obj b.obj' (default: generated)
+bench-simplify: all $(generator) $(simplify_venv)/ready $(BUILD)/simplify_cgal
+	@CGAL=$$(ls $(CURDIR)/$(BUILD)/simplify_cgal 2>/dev/null) BIN=$(BUILD)/bin TESTS=$(BUILD)/tests $(simplify_venv)/bin/python3 tests/bench/simplify.py $(SCANS)
 
 .PHONY: bench-pace
 ## bench-pace: compare the core's speed with that of the commit PACE_REF=HEAD~1, in pairs
