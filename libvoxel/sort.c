@@ -84,7 +84,24 @@ done:
     return status;
 }
 
-/* Makes an empty scan. Errors: BSQ_ENOMEM. */
+/* Takes the origin that the options give, if they do. Errors: those of fmt_tris_open(). */
+static int take_origin(struct scan *scan, const struct vox_sort_options *options)
+{
+    struct fmt_tris_file *file = NULL;
+    const double *origin = options->origin;
+    int status = 0;
+    if (!origin && options->origin_path)
+        status = fmt_tris_open(scan->ctx, options->origin_path, &file);
+    if (file)
+        origin = fmt_tris_get_header(file)->origin;
+    scan->origin_given = origin != NULL;
+    if (origin)
+        memcpy(scan->origin, origin, sizeof scan->origin);
+    fmt_tris_close(file);
+    return status;
+}
+
+/* Makes an empty scan. Errors: BSQ_ENOMEM; those of take_origin(). */
 static int begin_scan(struct scan *scan, struct bsq_ctx *ctx,
                       const struct vox_sort_options *options, const struct sort_limits *limits)
 {
@@ -93,7 +110,7 @@ static int begin_scan(struct scan *scan, struct bsq_ctx *ctx,
     scan->channels = options->channels;
     scan->channel_count = options->channel_count;
     scan->tells_unkept = options->tells_unkept;
-    return status;
+    return status < 0 ? status : take_origin(scan, options);
 }
 
 /* Reads in one pass if samples of the text say that this is possible, and again in two passes if

@@ -92,6 +92,10 @@ struct vox_sort_options {
     bool embed_textures;
     /** Vertex normals that the chunk file gets if the scan has none; FLAT: none. */
     enum bsq_scan_normals scan_normals;
+    /** Three numbers: the origin that stored positions are relative to, for parts of a scan that
+     * are sorted one by one. NULL: that of origin_path, or one near the scan. */
+    const double *origin;
+    const char *origin_path; /**< NULL, or a chunk file whose origin is taken. */
 };
 
 /** Bytes of a list of names in a report. What does not fit is left out. */

@@ -108,6 +108,8 @@ static int voxelize_tool_sort_scan(struct voxelize_job *job)
     options->tris_path = job->tris_path;
     options->temp_tris = job->temp_tris;
     options->keeps_tris = !job->temporary_tris;
+    if (job->scans.chunk_count > 0)
+        options->origin_path = job->scans.chunks[0];
     /* A part that nobody keeps gets its normals with the others. */
     options->scan_normals = job->temporary_tris && job->scans.chunk_count > 0
                                 ? BSQ_SCAN_NORMALS_FLAT

@@ -60,6 +60,11 @@ static const struct bsq_option rows[] = {
              "files; given once for each file, they are for the files in order"),
      BSQ_OWN},
 
+    {BSQ_ROW("origin", "X,Y,Z",
+             "store positions relative to this point: the same one for parts of\n"
+             "a scan that are sorted one by one (default: one near the scan)"),
+     BSQ_OWN, .needs = MESHES},
+
     {BSQ_ROW("tris", "FILE", "name of the chunk file (default: the output's, ending in .tris)"),
      .heading = "Chunk file", MEMBER(OUTPUT, tris), .needs = GRID | MESHES},
     {BSQ_ROW("embed-textures", NULL,
@@ -110,17 +115,16 @@ static int parse_up(struct cli *cli, struct voxelize_arguments *a, const char *t
     return status;
 }
 
-static int parse_translation(struct cli *cli, struct voxelize_arguments *a, const char *text)
+/* Parses "X,Y,Z". */
+static int parse_point(struct cli *cli, const char *option, const char *text, double point[3])
 {
-    double *translate = a->placements[a->translations++].translate;
     const bool decimal = strspn(text, "0123456789.eE+-,") == strlen(text);
     const char *from = text;
     for (int axis = 0; axis < 3; axis++) {
         char *end;
-        translate[axis] = strtod(from, &end);
-        if (!decimal || end == from || !isfinite(translate[axis]) ||
-            *end != (axis < 2 ? ',' : '\0'))
-            return cli_usage(cli, "--translate: \"%s\" is not of the form X,Y,Z", text);
+        point[axis] = strtod(from, &end);
+        if (!decimal || end == from || !isfinite(point[axis]) || *end != (axis < 2 ? ',' : '\0'))
+            return cli_usage(cli, "--%s: \"%s\" is not of the form X,Y,Z", option, text);
         from = end + 1;
     }
     return 0;
@@ -240,7 +244,12 @@ static int scan_args_take_option(struct cli *cli, void *arg, const struct bsq_op
     if (strcmp(row->name, "up") == 0)
         return parse_up(cli, arguments, text);
     if (strcmp(row->name, "translate") == 0)
-        return parse_translation(cli, arguments, text);
+        return parse_point(cli, row->name, text,
+                           arguments->placements[arguments->translations++].translate);
+    if (strcmp(row->name, "origin") == 0) {
+        arguments->sort.origin = arguments->origin;
+        return parse_point(cli, row->name, text, arguments->origin);
+    }
     /* --channels: paths of images must not have commas. */
     for (char *word = (char *)(uintptr_t)text; word && status == 0;) {
         char *next = strchr(word, ',');

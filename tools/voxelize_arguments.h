@@ -21,6 +21,7 @@ struct voxelize_arguments {
     bool all_channels;                  /* keep all that the materials have */
     struct vox_placement *placements;   /* those of sort */
     uint32_t scales, ups, translations; /* how often these options were given */
+    double origin[3];                   /* that of sort, if it was given */
 };
 
 /* Parses the command line, and checks what can be checked without opening a file. Returns what

@@ -188,8 +188,7 @@ int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp,
 /* Opens files as one scan, whose chunks follow each other. Their order does not matter. temp: NULL,
  * or one more file, see fmt_tris_open_temp(); then path_count may be 0. Either all have normals, or
  * none has; of other attributes the scan has those of any file. It has ids if all files have ids of
- * one kind. The origin is that of the file with most triangles. Errors: those of fmt_tris_open().
- */
+ * one kind. All must have one origin. Errors: those of fmt_tris_open(). */
 int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
                         const struct bsq_file *temp, struct fmt_tris_file **out);
 /* Checks that a scan has ids. Errors: BSQ_EDATA, with the name of the file that prevents it. */

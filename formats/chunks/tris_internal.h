@@ -137,14 +137,6 @@ struct tris_part {
     struct fmt_tris_file *file; /* with the descriptor closed, but for a temporary file */
     uint64_t first_chunk;       /* numbers over all files */
     uint32_t first_material;
-    double shift[3]; /* from its origin to the common one */
-};
-
-/* A vertex that takes the position of an equal one in another part. */
-struct tris_weld {
-    uint64_t chunk;
-    uint32_t vertex;
-    float position[3]; /* relative to the common origin */
 };
 
 struct fmt_tris_file {
@@ -164,8 +156,6 @@ struct fmt_tris_file {
     /* Of several files as one scan; then `file` has only a path, that of the first part. */
     struct tris_part *parts;
     uint32_t part_count;
-    struct tris_weld *welds; /* by chunk and vertex */
-    uint64_t weld_count, weld_capacity;
 };
 
 /* ---- tris_load.c ---- */
@@ -212,13 +202,6 @@ uint64_t fmt_tris_part_load_size(const struct fmt_tris_file *all, uint64_t index
 /* found: loads the sample; NULL: the triangles. */
 int fmt_tris_load_part(const struct fmt_tris_file *all, uint64_t index, void *scratch,
                        struct fmt_tris_chunk *out, bool *found);
-
-/* ---- tris_weld.c ---- */
-
-/* Finds vertices that parts with different origins share. Does nothing if all have one origin. */
-int fmt_tris_weld_parts(struct fmt_tris_file *all);
-/* Moves those of a chunk. */
-void fmt_tris_apply_welds(const struct fmt_tris_file *all, uint64_t chunk, float (*positions)[3]);
 
 /* Reports damage of an open file; returns BSQ_EDATA. */
 int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what);

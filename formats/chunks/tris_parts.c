@@ -3,7 +3,6 @@
  * The chunks of all files follow each other in one table. Files are ordered by their content, so
  * the order in which they are given does not matter. A file with a name is open only while a chunk
  * of it is loaded, so there may be any number of files. Chunks are made equal when they are loaded:
- * their positions get a common origin, vertices that parts share get one position (tris_weld.c),
  * their materials are numbered over all files, and attributes that only other files have get the
  * values that sorting gives to meshes without them. */
 #include "formats/chunks/tris_internal.h"
@@ -203,32 +202,24 @@ int fmt_tris_require_channel(const struct fmt_tris_file *file, const char *name)
     return fail_without(file->ctx, file->file.path, name);
 }
 
-/* Moves a position of a part to the common origin. Keeps the order of positions, so that bounds
- * stay bounds. */
-static float moved(float position, double shift)
-{
-    return (float)((double)position + shift) + 0.0f;
-}
-
 /* Adds a part's chunks to the table and to the bounds. */
 static int join_chunks(struct fmt_tris_file *all, struct tris_part *part)
 {
     const struct fmt_tris_header *from = &part->file->header;
     struct fmt_tris_header *to = &all->header;
     part->first_chunk = to->chunk_count;
-    for (int axis = 0; axis < 3; axis++)
-        part->shift[axis] = from->origin[axis] - to->origin[axis];
+    if (memcmp(from->origin, to->origin, sizeof to->origin) != 0)
+        return bsq_fail(all->ctx, BSQ_EDATA,
+                        "%s and %s have different origins: sort one of them again with --origin "
+                        "%.17g,%.17g,%.17g",
+                        all->file.path, part->file->file.path, to->origin[0], to->origin[1],
+                        to->origin[2]);
     for (uint64_t i = 0; i < from->chunk_count; i++) {
         struct fmt_tris_chunk_info *info = &all->chunks[to->chunk_count++];
         *info = part->file->chunks[i];
         info->crease_count = 0;
         info->first_triangle += to->triangle_count;
         for (int axis = 0; axis < 3; axis++) {
-            info->bounds_min[axis] = moved(info->bounds_min[axis], part->shift[axis]);
-            info->bounds_max[axis] = moved(info->bounds_max[axis], part->shift[axis]);
-            if (!isfinite(info->bounds_min[axis]) || !isfinite(info->bounds_max[axis]))
-                return bsq_fail(all->ctx, BSQ_EDATA, "%s: too far away from the other parts",
-                                part->file->file.path);
             to->bounds_min[axis] = fminf(to->bounds_min[axis], info->bounds_min[axis]);
             to->bounds_max[axis] = fmaxf(to->bounds_max[axis], info->bounds_max[axis]);
         }
@@ -300,7 +291,6 @@ static int parts_join(struct fmt_tris_file *all)
         const uint64_t bytes = fmt_tris_load_size(all, i);
         all->load_size_max = bytes > all->load_size_max ? bytes : all->load_size_max;
     }
-    status = fmt_tris_weld_parts(all);
 done:
     return status;
 }
@@ -352,7 +342,6 @@ void fmt_tris_close_parts(struct fmt_tris_file *all)
     for (uint32_t i = 0; i < all->part_count; i++)
         fmt_tris_close(all->parts[i].file);
     bsq_free(all->ctx, all->parts);
-    bsq_free(all->ctx, all->welds);
 }
 
 /* ---- loading ---- */
@@ -399,15 +388,10 @@ uint64_t fmt_tris_part_load_size(const struct fmt_tris_file *all, uint64_t index
     return parts_add_attributes(all, find_part(all, index), index, NULL, NULL);
 }
 
-/* Changes positions and materials, which lie in `scratch`. */
-static void make_common(const struct tris_part *part, struct fmt_tris_chunk *chunk)
+/* Numbers materials, which lie in `scratch`, over all files. */
+static void parts_number_materials(const struct tris_part *part, struct fmt_tris_chunk *chunk)
 {
-    float(*positions)[3] = (float(*)[3])chunk->positions;
     uint32_t *materials = (uint32_t *)chunk->materials;
-    if (part->shift[0] != 0.0 || part->shift[1] != 0.0 || part->shift[2] != 0.0)
-        for (uint32_t v = 0; v < chunk->vertex_count; v++)
-            for (int axis = 0; axis < 3; axis++)
-                positions[v][axis] = moved(positions[v][axis], part->shift[axis]);
     for (uint32_t t = 0; materials && part->first_material > 0 && t < chunk->triangle_count; t++)
         materials[t] += materials[t] == UINT32_MAX ? 0 : part->first_material;
 }
@@ -423,11 +407,9 @@ int fmt_tris_load_part(const struct fmt_tris_file *all, uint64_t index, void *sc
     BSQ_TRY(named ? bsq_file_open(all->ctx, part->file->file.path, &open.file) : 0);
     BSQ_TRY(found ? fmt_tris_load_sample(&open, index - part->first_chunk, scratch, out, found)
                   : fmt_tris_load(&open, index - part->first_chunk, scratch, out));
-    make_common(part, out);
-    if (!found) {
-        fmt_tris_apply_welds(all, index, (float(*)[3])out->positions);
+    parts_number_materials(part, out);
+    if (!found)
         parts_add_attributes(all, part, index, scratch, out);
-    }
 done:
     if (named)
         bsq_file_close(all->ctx, &open.file);

@@ -110,6 +110,7 @@ struct scan {
     struct attribute_stream streams[SCAN_STREAM_COUNT];
     double origin[3];
     float bounds_min[3], bounds_max[3]; /* of all vertices; valid if there are any */
+    bool origin_given;                  /* by the caller */
     bool origin_known, has_colors;
     float batch_scale;        /* factor from the colours of the batch that is appended to 0..255;
                                  0: it is not known yet */

@@ -128,7 +128,8 @@ static void choose_origin(struct scan *scan, const struct fmt_mesh_batch *batch)
             high[axis] = fmax(high[axis], batch->positions[v][axis]);
         }
     }
-    vox_precision_choose_origin(low, high, scan->origin);
+    if (!scan->origin_given)
+        vox_precision_choose_origin(low, high, scan->origin);
     for (int axis = 0; axis < 3; axis++) {
         scan->bounds_min[axis] = FLT_MAX;
         scan->bounds_max[axis] = -FLT_MAX;

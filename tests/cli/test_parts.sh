@@ -62,7 +62,7 @@ for i in $(seq 20); do set -- "$@" a.tris b.tris c.tris; done
     code=$?
 code 0
 
-# Attributes of some parts only; another origin.
+# Attributes of some parts only; an origin that is not 0.
 write_sheet 11 23 0 color >d.obj
 run bisque-voxelize d.obj --resolution 8 -o x.nvdb
 cp x.tris d.tris
@@ -74,7 +74,7 @@ write_sheet 0 11 500000 '' >far_a.obj
 write_sheet 11 40 500000 '' >far_b.obj
 write_sheet 0 40 500000 '' >far.obj
 for name in far far_a far_b; do
-    ok run bisque-voxelize $name.obj --resolution 8 -o x.nvdb --tris $name.tris
+    ok run bisque-voxelize $name.obj --origin 500000,0,0 -o $name.tris
 done
 $vox far.tris -o far.nvdb --json
 jq -c '[.grid.index_min, .grid.index_max]' "$out" >whole.json
@@ -82,7 +82,7 @@ ok $vox far_a.tris far_b.tris -o far_parts.nvdb --json
 jq -c '[.grid.index_min, .grid.index_max]' "$out" >parts.json
 same whole.json parts.json
 
-# ---- parts with different origins ----
+# ---- parts far from zero, which need one origin ----
 
 # write_ball FROM TO: longitudes FROM to TO of a coarse sphere, in the coordinates of a map. They
 # have more digits than float32 holds.
@@ -103,9 +103,16 @@ write_ball()
 for columns in '0 48 ball' '0 15 p1' '15 31 p2' '31 48 p3'; do
     set -- $columns
     write_ball "$1" "$2" >"$3.obj"
-    ok run bisque-voxelize "$3.obj" --resolution 8 -o x.nvdb --tris "$3.tris"
+    ok run bisque-voxelize "$3.obj" -o "$3.tris"
 done
-holds "the origins of the parts differ" [ "$(od -An -v -t x1 -j 48 -N 24 p1.tris)" != "$(od -An -v -t x1 -j 48 -N 24 p2.tris)" ]
+for output in x.nvdb x.tris; do
+    run bisque-voxelize p1.tris p2.tris p3.tris -o $output
+    refused_like 65 "^$p p[123].tris and p[123].tris have different origins: sort one of them again with --origin [0-9.e+-]*,[0-9.e+-]*,[0-9.e+-]*\$"
+done
+sed 's/.*--origin //' "$err" >origin.txt
+for part in p1 p2 p3; do
+    ok run bisque-voxelize $part.obj -o $part.tris --origin "$(cat origin.txt)"
+done
 ok $vox ball.tris -o ball.nvdb --json
 jq -c '[.grid.voxels, .grid.index_min, .grid.index_max]' "$out" >whole.json
 ok $vox p1.tris p2.tris p3.tris -o ball_parts.nvdb --json
@@ -167,6 +174,15 @@ ok run bisque-voxelize p1.tris p2.obj p3.tris -o again.tris
 same joined.tris again.tris
 
 # ---- misuse ----
+
+for origin in 1,2 1,2,x 1,2,3,4 1,2,inf ''; do
+    run bisque-voxelize a.obj -o y.tris --origin "$origin"
+    refused 64 "$p --origin: \"$origin\" is not of the form X,Y,Z"
+done
+run bisque-voxelize a.tris -o y.nvdb --origin 1,2,3
+refused 64 "$p a.tris is already a chunk file: leave out --origin"
+run bisque-voxelize a.obj --origin 1e39,0,0 -o y.tris
+code 65
 
 sed 's/^v .*/&\nvn 0 0 1/; s/ \([0-9]*\)/ \1/g' a.obj | awk '/^f/ { print $1, $2 "//" 1, $3 "//" 1,
     $4 "//" 1; next } { print }' >n.obj
