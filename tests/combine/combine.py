@@ -279,7 +279,7 @@ def through_a_pipe(runner, job, base, rng):
 
 def of_chunks(runner, job, base, rng):
     """The chunk file of a grid is as good as the meshes, if it has all triangles where they are."""
-    names = {"scale", "up", "translate", "no-tris", "channels", "strict"}
+    names = {"scale", "up", "translate", "origin", "no-tris", "channels", "strict"}
     chunks = "../in/%s.tris" % job.scan.name
     if any(option.name in names for option, _ in job.scan.given) or not os.path.exists(
             os.path.join(runner.top, runner.way, chunks)):

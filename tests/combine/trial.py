@@ -257,6 +257,9 @@ class Trial:
     def draw_translate(self, program):
         return ",".join("%.6g" % (self.shape.size * self.random.uniform(-0.02, 0.02)) for _ in range(3))
 
+    def draw_origin(self, program):
+        return self.draw_translate(program)
+
     def draw_tmpdir(self, program):
         return "../in/" + TEMPORARY
 
