@@ -1,9 +1,11 @@
 /* normals_chunk.c - goes through the chunks: sums the one-rings of their vertices.
  *
- * A vertex is closed if each edge at it is shared by two triangles of the chunk. Each one-ring has
- * a random number; a vertex keeps the exclusive or of the numbers of both neighbours of each of its
- * triangles, which is 0 if each neighbour occurs twice (Zobrist, "A New Hashing Method with
- * Application for Game Playing", 1970). */
+ * A vertex is closed if the chunk's triangles run through each edge at it as often towards it as
+ * away from it. Each one-ring has a random number; a vertex sums the differences of the numbers of
+ * the next and the previous neighbour in each of its triangles, which is 0 if each neighbour is
+ * both equally often (after Zobrist, "A New Hashing Method with Application for Game Playing",
+ * 1970). Differences tell a triangle that is there twice, which closes nothing.
+ */
 #include "libvoxel/normals/normals_run.h"
 
 #include <string.h>
@@ -13,7 +15,7 @@
 
 enum { CREASES = 8192 /* that are divided at a time */, SLOTS_A_THREAD = 2 };
 
-/* The random number of a one-ring, and the exclusive or of its neighbours'. */
+/* The random number of a one-ring, and the sum of the differences of its neighbours'. */
 struct ring_edges {
     uint64_t number, neighbours;
 };
@@ -121,9 +123,9 @@ static void find_open(struct ring_slot *s)
         struct ring_edges *a = &s->edges[s->ring_of[v[0]]], *b = &s->edges[s->ring_of[v[1]]],
                           *c = &s->edges[s->ring_of[v[2]]];
         const uint64_t x = a->number, y = b->number, z = c->number;
-        a->neighbours ^= y ^ z;
-        b->neighbours ^= z ^ x;
-        c->neighbours ^= x ^ y;
+        a->neighbours += y - z;
+        b->neighbours += z - x;
+        c->neighbours += x - y;
     }
     for (uint32_t v = 0; v < vertices; v++) {
         const uint64_t ring = s->ring_of[v];

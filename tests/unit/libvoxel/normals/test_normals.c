@@ -300,6 +300,24 @@ TEST(test_sphere)
     }
 }
 
+/* Each triangle is there twice in a row, so that an even number of a chunk's triangles has each
+ * edge also where the chunk ends. */
+TEST(test_scan_that_is_there_twice)
+{
+    struct fixture f = {.mesh = scan_sphere(1.0, 0.1)};
+    scan_sort(&f.mesh);
+    const uint32_t count = f.mesh.triangle_count;
+    uint32_t(*twice)[3] = malloc(2 * count * sizeof *twice);
+    for (uint32_t t = 0; t < 2 * count; t++)
+        memcpy(twice[t], f.mesh.triangles[t / 2], sizeof *twice);
+    free(f.mesh.triangles);
+    f.mesh.triangles = twice;
+    f.mesh.triangle_count = 2 * count;
+    begin(&f, CHUNK_TRIANGLES);
+    check(&f);
+    end(&f);
+}
+
 /* Unordered triangles touch in vertices, lie in creases and stretch across all chunks. */
 TEST(test_soup)
 {
