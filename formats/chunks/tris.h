@@ -195,6 +195,8 @@ int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t 
 int fmt_tris_require_ids(const struct fmt_tris_file *file);
 /* Checks alike that a scan has a channel, which all of its files must have. */
 int fmt_tris_require_channel(const struct fmt_tris_file *file, const char *name);
+/* Returns the name of weights, AREA to MAX, as options have it; NULL of others. */
+const char *fmt_tris_normals_text(enum bsq_scan_normals weights);
 /* Returns the weights by which all files of a scan have made normals, 0 if none has any, and SMOOTH
  * if they differ. Several files have no made normals together, as these lack the triangles of the
  * other files. */

@@ -487,6 +487,14 @@ void fmt_tris_close(struct fmt_tris_file *file)
     bsq_free(ctx, file);
 }
 
+const char *fmt_tris_normals_text(enum bsq_scan_normals weights)
+{
+    return weights == BSQ_SCAN_NORMALS_AREA    ? "area"
+           : weights == BSQ_SCAN_NORMALS_ANGLE ? "angle"
+           : weights == BSQ_SCAN_NORMALS_MAX   ? "max"
+                                               : NULL;
+}
+
 enum bsq_scan_normals fmt_tris_parts_normals(const struct fmt_tris_file *file)
 {
     enum bsq_scan_normals all = file->header.made_normals;

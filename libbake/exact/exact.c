@@ -35,7 +35,6 @@ static int exact_choose_normals(struct bake_exact *exact)
     exact->smooth = has != 0;
     if (wanted == BSQ_SCAN_NORMALS_AUTO || wanted == has)
         return 0;
-    static const char *const names[] = {"auto", "area", "angle", "max"};
     return bsq_fail(
         exact->ctx, BSQ_EUSAGE,
         "%s has %s normals: \"bisque-voxelize %s -o FILE.tris --scan-normals %s\" makes "
@@ -43,8 +42,8 @@ static int exact_choose_normals(struct bake_exact *exact)
         path,
         has == 0                       ? "no"
         : has == BSQ_SCAN_NORMALS_AREA ? "smooth (area)"
-                                       : names[has],
-        path, names[wanted]);
+                                       : fmt_tris_normals_text(has),
+        path, fmt_tris_normals_text(wanted));
 }
 
 static int exact_open_file(struct bake_exact *exact)

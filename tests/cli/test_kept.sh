@@ -191,7 +191,7 @@ property uchar green\nproperty uchar blue\nelement face 1\nproperty list uchar i
 0 0 0 1 2 3\n1 0 0 1 2 3\n0 4 0 1 2 3\n3 0 1 2\n' >color.ply
 ok run bisque-voxelize --info color.ply left.tris kept.nvdb --json
 json '.files[0] | .format == "PLY" and .vertex_colors and .box.size == [1, 4, 0] and .units == null and .materials == []'
-json '.files[1] | .version == 7 and .triangles == 2 and .color and (.textures | length == 1) and (.textures[0] | endswith("/dot.ppm"))'
+json '.files[1] | .version == 7 and .made_normals == "area" and .triangles == 2 and .color and (.textures | length == 1) and (.textures[0] | endswith("/dot.ppm"))'
 json '.files[2] | .voxels > 0 and .box.max == [2, 1, 0] and (.color | not)'
 run bisque-voxelize --info left.obj gone.obj
 code 66
