@@ -98,9 +98,8 @@ static int join_normals(struct joining *j, const struct vox_join_options *option
     int status = 0;
     if (weights == BSQ_SCAN_NORMALS_AUTO)
         weights = fmt_tris_parts_normals(j->file);
-    if (weights == BSQ_SCAN_NORMALS_AUTO)
-        weights = BSQ_SCAN_NORMALS_SMOOTH;
-    if (j->header->attributes & FMT_TRIS_NORMALS || weights == BSQ_SCAN_NORMALS_FLAT)
+    if (j->header->attributes & FMT_TRIS_NORMALS || weights == BSQ_SCAN_NORMALS_AUTO ||
+        weights == BSQ_SCAN_NORMALS_FLAT)
         return 0;
     BSQ_TRY(fmt_tris_normals_begin(j->writer, &normals));
     BSQ_TRY(vox_make_normals(j->ctx, normals, weights, options->output_path));

@@ -153,8 +153,8 @@ struct vox_join_options {
     uint32_t tris_count;                   /**< Number of tris_paths. */
     const struct vox_temp_tris *temp_tris; /**< NULL, or one more part. */
     const char *output_path;               /**< Output: a chunk file. */
-    /** Vertex normals that it gets if the scan has none. AUTO: those of the inputs if these have
-     * the same, else smooth ones. FLAT: none. */
+    /** Vertex normals that it gets if the scan has none. AUTO: by the weights of the chunk files if
+     * these have the same, or none if none has any; else smooth ones. FLAT: none. */
     enum bsq_scan_normals scan_normals;
 };
 

@@ -198,8 +198,8 @@ int fmt_tris_require_channel(const struct fmt_tris_file *file, const char *name)
 /* Returns the name of weights, AREA to MAX, as options have it; NULL of others. */
 const char *fmt_tris_normals_text(enum bsq_scan_normals weights);
 /* Returns the weights by which all files of a scan have made normals, 0 if none has any, and SMOOTH
- * if they differ. Several files have no made normals together, as these lack the triangles of the
- * other files. */
+ * if they differ. A temporary file beside others does not count. Several files have no made normals
+ * together, as these lack the triangles of the other files. */
 enum bsq_scan_normals fmt_tris_parts_normals(const struct fmt_tris_file *file);
 /* Returns whether images of textures lie in the files. */
 bool fmt_tris_has_images(const struct fmt_tris_file *file);

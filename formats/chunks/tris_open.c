@@ -498,9 +498,14 @@ const char *fmt_tris_normals_text(enum bsq_scan_normals weights)
 enum bsq_scan_normals fmt_tris_parts_normals(const struct fmt_tris_file *file)
 {
     enum bsq_scan_normals all = file->header.made_normals;
+    bool any = false;
     for (uint32_t i = 0; i < file->part_count; i++) {
-        const enum bsq_scan_normals one = file->parts[i].file->header.made_normals;
-        all = i == 0 || all == one ? one : BSQ_SCAN_NORMALS_SMOOTH;
+        const struct fmt_tris_file *part = file->parts[i].file;
+        const enum bsq_scan_normals one = part->header.made_normals;
+        if (part->file.fd >= 0) /* temporary, see struct tris_part */
+            continue;
+        all = !any || all == one ? one : BSQ_SCAN_NORMALS_SMOOTH;
+        any = true;
     }
     return all;
 }

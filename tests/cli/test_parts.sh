@@ -169,6 +169,16 @@ ok run bisque-compare --type normal flat.exr other.exr --max-error 0
 run bisque-bake ball.tris $above --scan normals=smooth -o exact.exr
 ok run bisque-bake made2.tris $above -o other.exr
 ok run bisque-compare --type normal exact.exr other.exr --max-error 0
+# Without an option, chunk files keep what they have, also with meshes beside them.
+ok run bisque-voxelize flat.tris -o made.tris
+same flat.tris made.tris
+$vox p1.obj -o x.nvdb --tris angle1.tris --scan-normals angle
+for option in '' '--scan-normals angle'; do
+    ok run bisque-voxelize angle1.tris p2.obj p3.obj $option -o "made${option:+2}.tris"
+    $vox angle1.tris p2.obj p3.obj $option -o "made${option:+2}.nvdb"
+done
+same made.tris made2.tris
+same made.nvdb made2.nvdb
 # Meshes beside chunk files become one with them.
 ok run bisque-voxelize p1.tris p2.obj p3.tris -o again.tris
 same joined.tris again.tris
