@@ -208,7 +208,10 @@ static int join_chunks(struct fmt_tris_file *all, struct tris_part *part)
     const struct fmt_tris_header *from = &part->file->header;
     struct fmt_tris_header *to = &all->header;
     part->first_chunk = to->chunk_count;
-    if (memcmp(from->origin, to->origin, sizeof to->origin) != 0)
+    bool same = true;
+    for (int axis = 0; axis < 3; axis++)
+        same &= from->origin[axis] == to->origin[axis];
+    if (!same)
         return bsq_fail(all->ctx, BSQ_EDATA,
                         "%s and %s have different origins: sort one of them again with --origin "
                         "%.17g,%.17g,%.17g",
