@@ -113,7 +113,9 @@ static void report_join(const struct joining *j, struct vox_sort_report *report)
 {
     report->triangles = j->header->triangle_count;
     report->chunks = j->header->chunk_count;
-    report->has_normals = j->header->attributes & FMT_TRIS_NORMALS;
+    report->has_normals = (j->header->attributes & FMT_TRIS_NORMALS) != 0;
+    report->has_texcoords = (j->header->attributes & FMT_TRIS_TEXCOORDS) != 0;
+    report->has_colors = (j->header->attributes & FMT_TRIS_COLORS) != 0;
     memcpy(report->origin, j->header->origin, sizeof report->origin);
 }
 

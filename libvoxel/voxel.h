@@ -160,9 +160,9 @@ struct vox_join_options {
 
 /** Writes chunk files as one chunk file, with vertex normals that are smooth across their borders.
  * One file alone gets other normals. Of *report, fills in triangles, chunks, tris_bytes,
- * temp_bytes, origin, has_normals and seconds_sort. Errors: BSQ_ENOINPUT; BSQ_EDATA for a damaged
- * file, and for some files with normals beside others; BSQ_ENOMEM, BSQ_ECANTCREAT, BSQ_EIO,
- * BSQ_EINTR. */
+ * temp_bytes, origin, has_normals, has_texcoords, has_colors and seconds_sort. Errors:
+ * BSQ_ENOINPUT; BSQ_EDATA for a damaged file, and for some files with normals beside others;
+ * BSQ_ENOMEM, BSQ_ECANTCREAT, BSQ_EIO, BSQ_EINTR. */
 int vox_join(struct bsq_ctx *ctx, const struct vox_join_options *options,
              struct vox_sort_report *report);
 

@@ -312,6 +312,8 @@ done
 plain='no vertex colours, so what has no texture is white; other parts of the scan have vertex colours; parts like this: 2'
 ok $vox vertex.tris b.tris c.tris -o white.nvdb --strict
 holds "warning of white parts" grep -Eqx "$p warning: [bc].tris: $plain" "$err"
+ok run bisque-voxelize vertex.tris b.tris -o painted.tris --json
+json '.scan.has_colors and (.scan.has_texcoords | not) and (.scan.has_normals | not)'
 lost='red.tris: colours of materials are not used, because other parts of the scan have vertex colours; parts like this: 1'
 ok $vox vertex.tris red.tris -o lost.nvdb
 holds "warning of lost colours" [ "$(cat "$err")" = "$p warning: $lost" ]
