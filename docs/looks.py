@@ -22,7 +22,7 @@ LOOKS = [
     ("shifted", VASE, ["--low", "x=0.06", "--as-is"], []),
     ("layers", ["coat.tris", "ball_low.obj"], ["--front", "0.01", "--back", "0.2"], ["--extrude", "0.06"]),
     ("short", VASE, ["--front", "0.002", "--back", "0.002"], []),
-    ("facets", ["ball.tris", "ball_low.obj"], ["--scan", "normals=flat"], ["--scan", "normals=angle"]),
+    ("facets", ["ball.tris", "ball_low.obj"], ["--scan", "normals=flat"], []),
     ("coarse", ["coarse.nvdb", "vase_low.obj"], [], VASE),
     ("padding", VASE, ["--padding", "0", "--size", "64"], ["--size", "64"]),
     ("colors", VASE, ["--maps", "normal"], []),
@@ -56,7 +56,7 @@ def make_meshes(run, generator):
     ball("outer.obj", 1.0, 200, 100, False)
     run("bisque-voxelize", "vase.obj", "--resolution", "500", "-o", "vase.nvdb")
     run("bisque-voxelize", "vase.tris", "--resolution", "60", "-o", "coarse.nvdb")
-    run("bisque-voxelize", "ball.obj", "-o", "ball.tris")
+    run("bisque-voxelize", "ball.obj", "-o", "ball.tris", "--scan-normals", "angle")
     run("bisque-voxelize", "inner.obj", "outer.obj", "-o", "coat.tris")
 
 
