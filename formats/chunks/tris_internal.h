@@ -163,6 +163,8 @@ struct fmt_tris_file {
 /* Reads bytes of the file as it was when it was opened. */
 int fmt_tris_read_unchanged(const struct fmt_tris_file *file, void *to, uint64_t bytes,
                             uint64_t offset);
+/* Reports damage of a chunk of an open file; returns BSQ_EDATA. */
+int fmt_tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what);
 
 /* ---- tris_normals.c ---- */
 
@@ -182,9 +184,6 @@ struct bsq_output *fmt_tris_writer_output(const struct fmt_tris_writer *writer);
 /* Adds a section of normals to the header, and to the chunks' entries what `infos` say of it. */
 void fmt_tris_writer_add_normals(struct fmt_tris_writer *writer, enum bsq_scan_normals weights,
                                  const struct fmt_tris_chunk_info *infos);
-
-/* Reports damage of a chunk of an open file; returns BSQ_EDATA. */
-int fmt_tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what);
 
 /* ---- tris_sample.c ---- */
 
