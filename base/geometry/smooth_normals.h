@@ -8,10 +8,9 @@
  * far from it (docs/decisions/0008-normals-of-scans-without-normals.md). Sums in double and in one
  * order of triangles give the same bits however a scan is cut into chunks.
  *
- * A one-ring's sums are rows of four doubles: the weighted normals and the weights; then, if they
- * are among its parts, the normals and the number of triangles; then the moment, if it is. That is
- * three times the weight times the distance of the triangle's centroid from the vertex, and an
- * unused number. */
+ * A one-ring's sums are BSQ_RING_ROWS rows of four doubles: the weighted normals and the weights;
+ * the normals and the number of triangles; and the moment, which is three times the weight times
+ * the distance of the triangle's centroid from the vertex, and an unused number. */
 #ifndef BSQ_SMOOTH_NORMALS_H
 #define BSQ_SMOOTH_NORMALS_H
 
@@ -36,14 +35,8 @@
 
 #define BSQ_PI 3.14159265358979323846
 
-/* Parts of a one-ring's sums beside the weighted normals. */
-enum { BSQ_RING_UNITS = 1, BSQ_RING_MOMENT = 2 };
-
-/* Returns the number of rows of a one-ring's sums. */
-static inline int bsq_ring_rows(int parts)
-{
-    return 1 + ((parts & BSQ_RING_UNITS) != 0) + ((parts & BSQ_RING_MOMENT) != 0);
-}
+/* Rows of a one-ring's sums. */
+enum { BSQ_RING_ROWS = 3 };
 
 /* Returns the area vector and the area of a triangle, both doubled. The corners' fourth numbers
  * must be equal. */
@@ -125,15 +118,13 @@ LANES_INLINE struct row bsq_unit_normal(struct row area)
 
 /* Adds the triangles from `begin` to `end` to the sums of their corners' one-rings. ring_of: the
  * number of each vertex's one-ring. The sums of number 0 are not meant to be used; triangles whose
- * corners all have number 0 are skipped. weights: a constant, not BSQ_SCAN_NORMALS_FLAT. parts: a
- * constant; with `rows` rows, one-ring n begins at sums[n * rows]. */
+ * corners all have number 0 are skipped. weights: a constant, not BSQ_SCAN_NORMALS_FLAT.
+ * One-ring n begins at sums[n * BSQ_RING_ROWS]. */
 LANES_INLINE void bsq_add_rings_weighted(const float (*positions)[3],
                                          const uint32_t (*triangles)[3], uint32_t begin,
                                          uint32_t end, const uint32_t *ring_of,
-                                         enum bsq_scan_normals weights, int parts,
-                                         double (*sums)[4])
+                                         enum bsq_scan_normals weights, double (*sums)[4])
 {
-    const int rows = bsq_ring_rows(parts);
     for (uint32_t t = begin; t < end; t++) {
         const uint32_t *v = triangles[t];
         struct row corner[3];
@@ -144,14 +135,12 @@ LANES_INLINE void bsq_add_rings_weighted(const float (*positions)[3],
         const struct row area = bsq_area_vector(corner), unit = bsq_unit_normal(area);
         const struct row factors = bsq_corner_factors(corner, row_number(area, 3), weights);
         for (int i = 0; i < 3; i++) {
-            double(*ring)[4] = &sums[(uint64_t)ring_of[v[i]] * (uint64_t)rows];
+            double(*ring)[4] = &sums[(uint64_t)ring_of[v[i]] * BSQ_RING_ROWS];
             const struct row normal =
                 weights == BSQ_SCAN_NORMALS_AREA ? area : row_times(row_number(factors, i), area);
             row_add(ring[0], normal);
-            if (parts & BSQ_RING_UNITS)
-                row_add(ring[1], unit);
-            if (parts & BSQ_RING_MOMENT)
-                bsq_add_moment(corner, i, row_number(normal, 3), ring[rows - 1]);
+            row_add(ring[1], unit);
+            bsq_add_moment(corner, i, row_number(normal, 3), ring[BSQ_RING_ROWS - 1]);
         }
     }
 }
@@ -159,17 +148,17 @@ LANES_INLINE void bsq_add_rings_weighted(const float (*positions)[3],
 /* Does the same with weights that need not be constant. */
 LANES_INLINE void bsq_add_one_rings(const float (*positions)[3], const uint32_t (*triangles)[3],
                                     uint32_t begin, uint32_t end, const uint32_t *ring_of,
-                                    enum bsq_scan_normals weights, int parts, double (*sums)[4])
+                                    enum bsq_scan_normals weights, double (*sums)[4])
 {
     if (weights == BSQ_SCAN_NORMALS_AREA)
         bsq_add_rings_weighted(positions, triangles, begin, end, ring_of, BSQ_SCAN_NORMALS_AREA,
-                               parts, sums);
+                               sums);
     else if (weights == BSQ_SCAN_NORMALS_MAX)
         bsq_add_rings_weighted(positions, triangles, begin, end, ring_of, BSQ_SCAN_NORMALS_MAX,
-                               parts, sums);
+                               sums);
     else
         bsq_add_rings_weighted(positions, triangles, begin, end, ring_of, BSQ_SCAN_NORMALS_ANGLE,
-                               parts, sums);
+                               sums);
 }
 
 /* Returns whether a vertex has a normal. length: of its summed normals; weight: its summed weights.
@@ -225,10 +214,9 @@ LANES_INLINE bool bsq_crease_corners(const float (*positions)[3], const uint32_t
 /* Finds the farthest triangles among those from `begin` to `end`. */
 LANES_INLINE void bsq_find_farthest(const float (*positions)[3], const uint32_t (*triangles)[3],
                                     uint32_t begin, uint32_t end, const uint32_t *ring_of,
-                                    const uint32_t *crease_of, int parts, const double (*sums)[4],
+                                    const uint32_t *crease_of, const double (*sums)[4],
                                     double (*creases)[4])
 {
-    const int rows = bsq_ring_rows(parts);
     for (uint32_t t = begin; t < end; t++) {
         const uint32_t *v = triangles[t];
         struct row corner[3];
@@ -239,7 +227,7 @@ LANES_INLINE void bsq_find_farthest(const float (*positions)[3], const uint32_t 
         for (int i = 0; i < 3 && normal[3] > 0; i++) {
             const uint32_t ring = ring_of[v[i]];
             double *crease = creases[crease_of[ring]];
-            const double dot = bsq_row_dot(normal, sums[(uint64_t)ring * (uint64_t)rows]);
+            const double dot = bsq_row_dot(normal, sums[(uint64_t)ring * BSQ_RING_ROWS]);
             if (crease_of[ring] == 0 || dot >= crease[3])
                 continue;
             memcpy(crease, normal, 3 * sizeof *crease);
@@ -250,7 +238,7 @@ LANES_INLINE void bsq_find_farthest(const float (*positions)[3], const uint32_t 
 
 /* Decides whether a one-ring is divided. If it is, clears its sums. Normals of the second side are
  * closer to the farthest triangle's than to the part of the summed normal at right angles to it. */
-static inline bool bsq_divide_ring(double (*sum)[4], int parts, double crease[4])
+static inline bool bsq_divide_ring(double (*sum)[4], double crease[4])
 {
     const double *total = sum[0], length = sqrt(bsq_row_dot(total, total));
     double along[4] = {0};
@@ -262,17 +250,16 @@ static inline bool bsq_divide_ring(double (*sum)[4], int parts, double crease[4]
     const double size = sqrt(bsq_row_dot(along, along));
     for (int k = 0; k < 3 && size > 1e-6 * total[3]; k++)
         crease[k] -= along[k] / size;
-    memset(sum, 0, (size_t)bsq_ring_rows(parts) * sizeof *sum);
+    memset(sum, 0, BSQ_RING_ROWS * sizeof *sum);
     return true;
 }
 
 /* Adds the triangles from `begin` to `end` to the sides of creases. */
 LANES_INLINE void bsq_add_sides(const float (*positions)[3], const uint32_t (*triangles)[3],
                                 uint32_t begin, uint32_t end, const uint32_t *ring_of,
-                                const uint32_t *crease_of, int parts, const double (*creases)[4],
+                                const uint32_t *crease_of, const double (*creases)[4],
                                 double (*sums)[4], double (*seconds)[4])
 {
-    const int rows = bsq_ring_rows(parts);
     for (uint32_t t = begin; t < end; t++) {
         const uint32_t *v = triangles[t];
         struct row corner[3];
@@ -289,11 +276,10 @@ LANES_INLINE void bsq_add_sides(const float (*positions)[3], const uint32_t (*tr
             if (crease == 0)
                 continue;
             double(*side)[4] = bsq_row_dot(normal, creases[crease]) > 0
-                                   ? &seconds[crease * (uint64_t)rows]
-                                   : &sums[ring * (uint64_t)rows];
+                                   ? &seconds[crease * BSQ_RING_ROWS]
+                                   : &sums[ring * BSQ_RING_ROWS];
             row_add(side[0], weighted);
-            if (parts & BSQ_RING_MOMENT)
-                bsq_add_moment(corner, i, row_number(weighted, 3), side[rows - 1]);
+            bsq_add_moment(corner, i, row_number(weighted, 3), side[BSQ_RING_ROWS - 1]);
         }
     }
 }

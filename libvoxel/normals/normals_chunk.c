@@ -47,9 +47,9 @@ static uint64_t slot_lay_out(const struct normals_run *run, uint8_t *memory, str
     const uint64_t vertices = run->vertices, rings = vertices + 1, creases = CREASES + 1;
     const uint64_t most = vertices > run->triangles ? vertices : run->triangles;
     uint64_t at = 0;
-    s->rings.sums = normals_place(memory, &at, rings * VOX_RING_ROWS, sizeof *s->rings.sums);
+    s->rings.sums = normals_place(memory, &at, rings * BSQ_RING_ROWS, sizeof *s->rings.sums);
     s->rings.seconds =
-        normals_place(memory, &at, creases * VOX_RING_ROWS, sizeof *s->rings.seconds);
+        normals_place(memory, &at, creases * BSQ_RING_ROWS, sizeof *s->rings.seconds);
     s->rings.creases = normals_place(memory, &at, creases, sizeof *s->rings.creases);
     s->rings.crease_of = normals_place(memory, &at, rings, sizeof *s->rings.crease_of);
     s->table.slots =
@@ -131,7 +131,7 @@ static void find_open(struct ring_slot *s)
         const uint64_t ring = s->ring_of[v];
         s->open[v] = s->edges[ring].neighbours != 0 ? OPEN : 0;
         if (s->open[v])
-            memset(s->rings.sums[ring * VOX_RING_ROWS], 0, VOX_RING_ROWS * sizeof *s->rings.sums);
+            memset(s->rings.sums[ring * BSQ_RING_ROWS], 0, BSQ_RING_ROWS * sizeof *s->rings.sums);
     }
     s->open_count = 0;
     for (uint32_t t = 0; t < triangles; t++) {
@@ -213,7 +213,7 @@ static int visit_work(void *arg, void *slot, uint64_t sequence, unsigned worker)
     s->rings.triangles = s->tris.triangles;
     s->rings.ring_of = s->ring_of;
     memset(s->rings.sums, 0,
-           (s->tris.vertex_count + UINT64_C(1)) * VOX_RING_ROWS * sizeof *s->rings.sums);
+           (s->tris.vertex_count + UINT64_C(1)) * BSQ_RING_ROWS * sizeof *s->rings.sums);
     BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_add)
     (&s->rings, VOX_RING_SUM, run->weights, 0, s->tris.triangle_count);
     find_open(s);

@@ -50,8 +50,8 @@ static uint64_t worker_lay_out(uint8_t *memory, struct open_worker *w)
 {
     const uint64_t rings = w->most + UINT64_C(1);
     uint64_t at = 0;
-    w->rings.sums = normals_place(memory, &at, rings * VOX_RING_ROWS, sizeof *w->rings.sums);
-    w->rings.seconds = normals_place(memory, &at, rings * VOX_RING_ROWS, sizeof *w->rings.seconds);
+    w->rings.sums = normals_place(memory, &at, rings * BSQ_RING_ROWS, sizeof *w->rings.sums);
+    w->rings.seconds = normals_place(memory, &at, rings * BSQ_RING_ROWS, sizeof *w->rings.seconds);
     w->rings.creases = normals_place(memory, &at, rings, sizeof *w->rings.creases);
     w->rings.crease_of = normals_place(memory, &at, rings, sizeof *w->rings.crease_of);
     w->table.slots =
@@ -78,8 +78,8 @@ static bool find_ring(struct open_worker *w, const float position[3], uint32_t h
             return false;
         memcpy(w->positions[w->count], position, sizeof *w->positions);
         *slot = ++w->count;
-        memset(w->rings.sums[*slot * (uint64_t)VOX_RING_ROWS], 0,
-               VOX_RING_ROWS * sizeof *w->rings.sums);
+        memset(w->rings.sums[*slot * (uint64_t)BSQ_RING_ROWS], 0,
+               BSQ_RING_ROWS * sizeof *w->rings.sums);
     }
     *ring = *slot;
     return true;
@@ -220,7 +220,7 @@ static int make_worker(struct normals_run *run, uint32_t most, struct open_worke
     w->rings.positions = (const float(*)[3])w->corners;
     w->rings.triangles = (const uint32_t(*)[3])w->triangles;
     w->rings.ring_of = w->ring_of;
-    memset(w->rings.sums, 0, VOX_RING_ROWS * sizeof *w->rings.sums);
+    memset(w->rings.sums, 0, BSQ_RING_ROWS * sizeof *w->rings.sums);
     for (uint32_t i = 0; i < most; i++)
         w->all[i] = i + 1;
     for (uint32_t i = 0; i < 3 * RECORDS; i++)

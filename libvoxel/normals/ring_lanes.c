@@ -8,14 +8,13 @@ void BSQ_SIMD_NAME(vox_rings_add)(const struct vox_rings *r, enum vox_ring_step 
                                   enum bsq_scan_normals weights, uint32_t begin, uint32_t end)
 {
     if (step == VOX_RING_SUM)
-        bsq_add_one_rings(r->positions, r->triangles, begin, end, r->ring_of, weights,
-                          VOX_RING_PARTS, r->sums);
+        bsq_add_one_rings(r->positions, r->triangles, begin, end, r->ring_of, weights, r->sums);
     else if (step == VOX_RING_FARTHEST)
         bsq_find_farthest(r->positions, r->triangles, begin, end, r->ring_of, r->crease_of,
-                          VOX_RING_PARTS, (const double(*)[4])r->sums, r->creases);
+                          (const double(*)[4])r->sums, r->creases);
     else
         bsq_add_sides(r->positions, r->triangles, begin, end, r->ring_of, r->crease_of,
-                      VOX_RING_PARTS, (const double(*)[4])r->creases, r->sums, r->seconds);
+                      (const double(*)[4])r->creases, r->sums, r->seconds);
 }
 
 /* Share of the height of a one-ring's centroid above its vertex, by which the surface rises
@@ -65,8 +64,8 @@ void BSQ_SIMD_NAME(vox_rings_pack)(const double (*rings)[4], const uint32_t *rin
         long long packed[LANE_COUNT];
         for (uint32_t l = 0; l < LANE_COUNT; l++) {
             const uint64_t ring = ring_of[done + l < count ? done + l : done];
-            sums[l] = rings[ring * VOX_RING_ROWS];
-            moments[l] = rings[ring * VOX_RING_ROWS + VOX_RING_ROWS - 1];
+            sums[l] = rings[ring * BSQ_RING_ROWS];
+            moments[l] = rings[ring * BSQ_RING_ROWS + BSQ_RING_ROWS - 1];
         }
         lanes_gather_four(sums, n);
         lanes_gather_four(moments, m);

@@ -5,9 +5,6 @@
 
 #include "base/geometry/smooth_normals.h"
 
-/* Parts and rows of the sums. */
-enum { VOX_RING_PARTS = BSQ_RING_UNITS | BSQ_RING_MOMENT, VOX_RING_ROWS = 3 };
-
 /* Triangles and the sums of the one-rings at their corners; number 0 is for corners that have
  * none. */
 struct vox_rings {
@@ -45,7 +42,7 @@ static inline uint64_t vox_rings_number_creases(const struct vox_rings *rings, u
     *count = 0;
     for (; begin < end && *count < most; begin++) {
         rings->crease_of[begin] = 0;
-        if (!bsq_may_fold(rings->sums[begin * VOX_RING_ROWS + 1]))
+        if (!bsq_may_fold(rings->sums[begin * BSQ_RING_ROWS + 1]))
             continue;
         rings->crease_of[begin] = ++*count;
         memcpy(rings->creases[*count], (const double[4]){[3] = INFINITY}, sizeof *rings->creases);
@@ -62,10 +59,9 @@ static inline bool vox_rings_divide(const struct vox_rings *rings, uint64_t begi
         uint32_t *crease = &rings->crease_of[ring];
         if (*crease == 0)
             continue;
-        memset(rings->seconds[*crease * (uint64_t)VOX_RING_ROWS], 0,
-               VOX_RING_ROWS * sizeof *rings->seconds);
-        if (!bsq_divide_ring(&rings->sums[ring * VOX_RING_ROWS], VOX_RING_PARTS,
-                             rings->creases[*crease]))
+        memset(rings->seconds[*crease * (uint64_t)BSQ_RING_ROWS], 0,
+               BSQ_RING_ROWS * sizeof *rings->seconds);
+        if (!bsq_divide_ring(&rings->sums[ring * BSQ_RING_ROWS], rings->creases[*crease]))
             *crease = 0;
         any |= *crease != 0;
     }
