@@ -70,7 +70,7 @@ for words in "--ao coarse=none" "--scan sampling=trilinear" "--gpu-memory 1G"; d
     holds "none of $words for a grid beside triangles" [ ! -s "$err" ]
 done
 nothing "triangles without normals" "--scan normals" with.tris --scan normals=flat --two-sided
-nothing "triangles without normals" "--scan normals" vase-high.nvdb --scan normals=smooth
+nothing "triangles without normals" "--scan normals" vase-high.nvdb --scan normals=auto
 nothing "--normal space=tangent" "--normal green" vase-high.nvdb --normal green=up,space=object
 bake --scan normals=flat -o '<MAP>.exr'
 code 64
