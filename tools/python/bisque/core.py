@@ -73,6 +73,14 @@ def on_rows(user: Any, rows: Any) -> int:
         return -71 if isinstance(failure, MemoryError) else -70
 
 
+def _remove(folder: str) -> None:
+    """Removes a temporary folder with all that is in it, also if a signal comes meanwhile."""
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 class Job:
     """A context of the library. Calls run in a thread without the GIL, while this one waits and can
     be interrupted."""
@@ -103,7 +111,7 @@ class Job:
     def __exit__(self, *_: Any) -> None:
         lib.bsq_ctx_destroy(self.ctx)
         if self.folder:
-            shutil.rmtree(self.folder, ignore_errors=True)
+            _remove(self.folder)
         for line in [] if _silent.get() else self.warnings:
             if listener.get():
                 listener.get().warn(line)
@@ -559,7 +567,7 @@ def bake(high: Any, low: Any, maps: Sequence[str] = (), *, size: int | tuple[int
             lib.bake_report_free(report)
         except BaseException:
             if folder:
-                shutil.rmtree(folder, ignore_errors=True)
+                _remove(folder)
             raise
         result["memory_high"] = lib.bsq_memory_high(job.ctx)
         names = map_names()

@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 import bisque_start
 
 from . import programs
-from .core import Error, Progress, bake, quiet
+from .core import Error, Job, Progress, bake, quiet
 from .mesh import Mesh, as_mesh
 
 
@@ -64,8 +63,8 @@ def _main() -> None:
 
 def _run(mesh: Mesh, library: str, size: int, padding: int, seconds: float) -> np.ndarray:
     other = "xatlas" if library == "uvunwrap" else "uvunwrap"
-    with tempfile.TemporaryDirectory(prefix="bisque-") as folder:
-        source, target = Path(folder, "mesh.npz"), Path(folder, "uvs.npy")
+    with Job() as job:
+        source, target = Path(job.temporary("mesh.npz")), Path(job.temporary("uvs.npy"))
         # Around its centre, so that 32-bit coordinates keep the detail.
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
         np.savez(source, vertices=mesh.vertices - (low + high) / 2, faces=mesh.faces)
