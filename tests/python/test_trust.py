@@ -1,5 +1,6 @@
 """A rerun of bisque-asset equals a fresh run, whatever happened before; and it keeps its hands off other files."""
 import errno
+import functools
 import json
 import os
 import shutil
@@ -253,6 +254,33 @@ def test_files_that_cannot_get_their_names_leave_no_certificate(tmp_path, monkey
                 assert error.status == 74
         assert not (tmp_path / "a_asset/asset.json").exists() and not list(tmp_path.rglob(".*.new"))
     assert number == 9 and len(certificate_of(out)["levels"][0]["files"]) == number - 2
+
+
+def test_a_folder_whose_removal_was_interrupted_is_still_known(tmp_path, monkeypatch):
+    """The n-th file or folder is not removed, nor any after it."""
+    for number in range(99):
+        removed = []
+
+        def remove(of, path, **more):
+            if "bisque-steps" in os.fspath(path) or "dir_fd" in more:
+                removed.append(path)
+                if len(removed) > number:
+                    raise Stop
+            return of(path, **more)
+
+        folder = Folder(tmp_path / "a_asset")
+        for name in ("a", "b", "0/c", "1/d"):
+            (folder.path / name).parent.mkdir(exist_ok=True)
+            (folder.path / name).write_text("x")
+        with monkeypatch.context() as patch:
+            for name in ("unlink", "rmdir"):
+                patch.setattr(os, name, functools.partial(remove, getattr(os, name)))
+            try:
+                folder.close(True)
+                break
+            except Stop:
+                os.close(folder.lock)
+    assert number == 8 and not list((tmp_path / "a_asset").iterdir())
 
 
 def test_a_second_run_with_the_same_folder_or_output_is_kept_out(tmp_path):

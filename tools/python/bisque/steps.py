@@ -96,6 +96,11 @@ class Folder:
     def close(self, remove: bool) -> None:
         """Ends the use of the folder; remove: it goes, and its parent if it was made for it."""
         if remove:
+            for entry in [e for e in os.scandir(self.path) if e.name != self.MARKER]:  # which goes last
+                if entry.is_dir(follow_symlinks=False):
+                    shutil.rmtree(entry.path, ignore_errors=True)
+                else:
+                    Path(entry.path).unlink(missing_ok=True)
             shutil.rmtree(self.path, ignore_errors=True)
             if self.new and self.parent.is_dir() and not any(os.scandir(self.parent)):
                 self.parent.rmdir()
