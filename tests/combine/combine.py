@@ -33,6 +33,7 @@ import trial as trials
 BIN, TESTS = (os.path.abspath(os.environ[name]) for name in ("BIN", "TESTS"))
 DOCUMENTED = {0, 1, 64, 65, 66, 69, 71}
 NO_MEMORY, NO_DEVICE = 71, 69
+INTERRUPTED, KILLED = 75, -9
 DISTANCES = {"from_scan", "to_scan", "diagonal"}  # of the report of bisque-compare
 
 
@@ -55,19 +56,22 @@ class Runner:
         return path
 
     def run(self, program, arguments, environment=None, stdin=os.devnull):
-        """Returns the exit code and standard error; fails if either is not as documented."""
+        """Returns the exit code and standard error; fails if either is not as documented. The environment may
+        have settings of tests/faults/fault.h for looks for an interruption."""
+        environment = environment or {}
+        programs = os.path.join(TESTS, "bin") if "FAULT_CALLS" in environment else BIN
         where = os.path.join(self.top, self.way)
-        prefix = "".join("%s=%s " % item for item in (environment or {}).items())
+        prefix = "".join("%s=%s " % item for item in environment.items())
         source = "" if stdin == os.devnull else " <" + shlex.quote(stdin)
         self.commands.append("(cd %s && %s%s%s)" % (self.way, prefix, shlex.join([program] + arguments), source))
         try:
             with open(os.path.join(where, stdin), "rb") as pipe:
-                done = subprocess.run([os.path.join(BIN, program)] + arguments, cwd=where, stdin=pipe,
-                                      capture_output=True, timeout=3600, env={**os.environ, **(environment or {})})
+                done = subprocess.run([os.path.join(programs, program)] + arguments, cwd=where, stdin=pipe,
+                                      capture_output=True, timeout=3600, env={**os.environ, **environment})
         except subprocess.TimeoutExpired:
             raise Failure("no end after an hour")
         err = done.stderr.decode(errors="replace")
-        if done.returncode not in DOCUMENTED:
+        if done.returncode not in DOCUMENTED | ({INTERRUPTED, KILLED} if "FAULT_DO" in environment else set()):
             raise Failure("exit code %d: %s" % (done.returncode, err[-500:]))
         said = [line for line in re.split(r"[\r\n]|\x1b\[K", err)
                 if re.match(program + r": (?!warning: |[\d,]+ rays, about )", line)]
@@ -157,10 +161,11 @@ class Grid(Job):
     def lists(self):
         return [(self.scan, "given")]
 
-    def run(self, runner, more=(), given=None, rng=None, output=None, files=None, stdin=os.devnull):
+    def run(self, runner, more=(), given=None, rng=None, output=None, files=None, stdin=os.devnull,
+            environment=None):
         given = self.given if given is None else given
         words = trials.words(given, rng) + list(more) + trials.names(files or self.scan.files, given)
-        return runner.run("bisque-voxelize", words + ["-o", output or self.name], stdin=stdin)
+        return runner.run("bisque-voxelize", words + ["-o", output or self.name], environment, stdin)
 
     def files(self, runner):
         return runner.files(lambda name: name.startswith(self.scan.name) and name.endswith((".nvdb", ".tris")))
@@ -193,10 +198,10 @@ class Simplification(Job):
     def lists(self):
         return [(self.trial, "simplify")]
 
-    def run(self, runner, more=(), given=None, rng=None, files=None):
+    def run(self, runner, more=(), given=None, rng=None, files=None, environment=None):
         given = self.given if given is None else given
         words = trials.words(given, rng) + list(more) + trials.names(files or self.scan.files, given)
-        return runner.run("bisque-simplify", words + ["-o", self.trial.low_name])
+        return runner.run("bisque-simplify", words + ["-o", self.trial.low_name], environment)
 
     def files(self, runner):
         return runner.files(lambda name: name.startswith("m_"))
@@ -237,6 +242,29 @@ def without_options_without_effect(runner, job, base, rng):
             break
         left_out = left_out + needing[:1]  # it needs one that was left out
     expect_same(code, job.files(runner), base)
+
+
+def after_an_interruption(runner, job, base, rng):
+    """Runs it after the same command, or one with fewer options or other scans, was stopped at a random look."""
+    trial, other = job.trial, {}
+    other["given"] = [one for one in job.given if one[0].name in trials.NEEDED or rng.random() < 0.7]
+    if rng.random() < 0.5:
+        scan = rng.choice(trial.scans)
+        other.update({"scans": [scan]} if isinstance(job, Bake) else {"files": scan.files})
+    count = os.path.join(runner.top, "count")
+    job.run(runner, environment={"FAULT_CALLS": "check", "FAULT_COUNT": count}, **other)
+    with open(count) as file:
+        looks = int(file.read().split()[0])
+    os.remove(count)
+    if looks == 0:
+        return False
+    if rng.random() < 0.5:
+        runner.directory(runner.way)  # without older outputs
+    job.run(runner, environment={"FAULT_CALLS": "check", "FAULT_AT": str(rng.randint(1, looks)),
+                                 "FAULT_DO": rng.choice(["TERM", "TERM", "KILL"])}, **other)
+    code, _ = job.run(runner)
+    found = job.files(runner)
+    expect_same(code, {name: found.get(name) for name in base.files}, base)
 
 
 # ---- ways to make a grid ----
@@ -385,11 +413,12 @@ def compared(runner, job, base, rng):
 # How often each way runs.
 WAYS = {
     Grid: [(other_threads, 0.4), (other_budget, 0.4), (other_order, 0.2), (without_options_without_effect, 0.3),
-           (from_chunks, 0.4), (through_a_pipe, 0.2)],
+           (from_chunks, 0.4), (through_a_pipe, 0.2), (after_an_interruption, 0.1)],
     Simplification: [(other_threads, 0.8), (other_budget, 0.4), (other_order, 0.3),
-                     (without_options_without_effect, 0.5), (of_chunks, 0.5), (measured, 0.3)],
+                     (without_options_without_effect, 0.5), (of_chunks, 0.5), (measured, 0.3),
+                     (after_an_interruption, 1)],
     Bake: [(other_threads, 0.6), (other_budget, 0.4), (other_order, 0.4), (without_options_without_effect, 1),
-           (in_parts, 0.5), (on_fake_cuda, 1), (on_opencl, 0.5), (compared, 0.2)],
+           (in_parts, 0.5), (on_fake_cuda, 1), (on_opencl, 0.5), (compared, 0.2), (after_an_interruption, 0.1)],
 }
 
 
