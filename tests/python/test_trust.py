@@ -253,6 +253,13 @@ def test_files_that_cannot_get_their_names_leave_no_certificate(tmp_path, monkey
             except bisque.Error as error:
                 assert error.status == 74
         assert not (tmp_path / "a_asset/asset.json").exists() and not list(tmp_path.rglob(".*.new"))
+        if number % 3 == 0:  # what has its name already goes with the next asset, and so does the older one
+            shutil.copytree(tmp_path, copy := tmp_path.with_name("copy"))
+            (copy / "a_asset/.normal.png.new").write_text("of a killed one")
+            bisque.asset(copy / "in/scan.obj", copy / "a.glb", maps=("normal",), **HOW)
+            assert {path.name for path in (copy / "a_asset").iterdir()} == {
+                "asset.json", "low.obj", "low.mtl", "normal.png", "preview.png"}
+            shutil.rmtree(copy)
     assert number == 9 and len(certificate_of(out)["levels"][0]["files"]) == number - 2
 
 

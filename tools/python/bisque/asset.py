@@ -271,13 +271,14 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
         options = {"preset": preset, "levels": chosen, "samples": samples, "surface": surface,
                    "library": library, "memory": memory, "threads": threads}
         certificate = _certificate(steps, paths, about, options, levels)
-        _publish(certificate, made, output, steps, not keep)
+        _publish(certificate, made, output, private.path / PUBLISHED, steps, not keep)
         done = True
         return certificate
     finally:
         if kept is not private:
             kept.close(False)
-        private.close(elsewhere or not keep and (done or not (private.path / "steps.json").exists()))
+        needed = not done and any((private.path / name).exists() for name in ("steps.json", PUBLISHED))
+        private.close((elsewhere or not keep) and not needed)
 
 
 def _levels(chosen: list[tuple[int, int]], common: dict, output: Path, made: Path, steps: Steps) -> Any:
@@ -355,16 +356,33 @@ def _check_inputs(output: Path, made: Path, keep: Path, inputs: list[str]) -> No
 
 # ---- the asset's files ----
 
-def _older_files(made: Path, output: Path) -> dict[Path, str]:
-    """Returns the files of the asset that is there, by its certificate, and their checksums."""
-    found = {}
+#: In the private folder, while files get their names: all files that may be there, with their checksums.
+PUBLISHED = "published.json"
+
+
+def _copy_of(path: Path) -> Path:
+    """Returns the name of a file until it replaces another one; links stay."""
+    path = Path(os.path.realpath(path))
+    return path.with_name(f".{path.name}.new")
+
+
+def _older_files(made: Path, output: Path, note: Path) -> set[tuple[str, str]]:
+    """Returns the files of the asset that is there, by its certificate, and those of one that was
+    interrupted, whose copies go: names from `made`, and checksums."""
+    found = set()
+    try:
+        found = {(name, checksum) for name, checksum in json.loads(note.read_text())}
+        for name, _ in found:
+            _copy_of(made / name).unlink(missing_ok=True)
+    except (OSError, ValueError, TypeError):
+        pass  # there is none
     try:
         levels = json.loads((made / "asset.json").read_text())["levels"]
         for level in levels:
             own = made / os.path.basename(level["name"]) if len(levels) > 1 else made
             for name, checksum in level["files"].items():
                 folder = output.parent if name.endswith(".glb") else own
-                found[folder / os.path.basename(name)] = checksum
+                found.add((os.path.relpath(folder / os.path.basename(name), made), checksum))
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         pass  # there is none
     return found
@@ -379,19 +397,24 @@ def _sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def _publish(certificate: dict, made: Path, output: Path, steps: Steps, move: bool) -> None:
+def _publish(certificate: dict, made: Path, output: Path, note: Path, steps: Steps, move: bool) -> None:
     """Gives all files of an asset their names: copies first, then the names, the certificate last.
-    Files of an older asset that this one has not go. move: the private folder needs them no more."""
+    Files of an older asset that this one has not go; `note` tells of them if this is interrupted.
+    move: the private folder needs its files no more."""
     pairs = {target: source for level in certificate["levels"] for target, source in level["files"].items()}
     for target in pairs:
         if target.exists() and any(os.path.exists(p) and os.path.samefile(p, target) for p in steps.seen):
             raise ValueError(f"{target}: this is an input, which would be replaced")
+    sums = {target: sha256(source)[0] for target, source in pairs.items()}
     for level in certificate["levels"]:
-        level["files"] = {target.name: sha256(source)[0] for target, source in level["files"].items()}
-    older, paper = _older_files(made, output), made / "asset.json"
-    names = {target: Path(os.path.realpath(target)) for target in [*pairs, paper]}  # links stay
-    copies = {target: name.with_name(f".{name.name}.new") for target, name in names.items()}
+        level["files"] = {target.name: sums[target] for target in level["files"]}
+    older, paper = _older_files(made, output, note), made / "asset.json"
+    own = {os.path.relpath(target, made): checksum for target, checksum in sums.items()}
+    names = {target: Path(os.path.realpath(target)) for target in [*pairs, paper]}
+    copies = {target: _copy_of(target) for target in names}
     try:
+        note.with_suffix(".new").write_text(json.dumps([*older, *own.items()]))
+        os.replace(note.with_suffix(".new"), note)
         for target, source in pairs.items():
             target.parent.mkdir(exist_ok=True)
             copies[target].unlink(missing_ok=True)
@@ -407,13 +430,14 @@ def _publish(certificate: dict, made: Path, output: Path, steps: Steps, move: bo
         for copy in copies.values():
             _sync(copy)
         paper.unlink(missing_ok=True)
-        for path in older.keys() - pairs.keys():
-            if path.is_file() and sha256(path)[0] == older[path]:
-                path.unlink()
+        for name, checksum in older:
+            if name not in own and (made / name).is_file() and sha256(made / name)[0] == checksum:
+                (made / name).unlink()
         for target, copy in copies.items():
             os.replace(copy, names[target])
         for folder in {name.parent for name in names.values()}:
             _sync(folder)
+        note.unlink()
     except OSError as error:
         status = 74 if error.errno in FAILED_IO else 73
         raise Error(status, f"{error.filename2 or error.filename or output}: {error.strerror}") from None
