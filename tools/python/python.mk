@@ -15,9 +15,9 @@ $(venv)/installed: $(wildcard tools/python/*.* tools/python/bisque/*.py) $(archi
 deps-python:
 	@tests/install-packages.sh python3-dev python3-venv
 ## check-python: tests of the Python package in build/CONFIG/venv (installs what it needs, from PyPI)
-check-python: $(venv)/installed $(generator)
-	BIN=$(abspath $(BUILD)/bin) GENERATE=$(abspath $(generator)) $(venv)/bin/python -m pytest -q -n 2 --dist loadfile \
-	    -p no:cacheprovider tests/python
+check-python: $(venv)/installed $(generator) $(BUILD)/tests/faults.so
+	BIN=$(abspath $(BUILD)/bin) GENERATE=$(abspath $(generator)) FAULTS=$(abspath $(BUILD)/tests/faults.so) \
+	    $(venv)/bin/python -m pytest -q -n 2 --dist loadfile -p no:cacheprovider tests/python
 
 .PHONY: check-viewers
 ## check-viewers: normals of a GLB file in trimesh, Assimp, three.js and, with bpy=PYTHON, Blender
