@@ -208,7 +208,7 @@ def test_options_follow_the_table(scan, low):
 
 @pytest.mark.parametrize("library", ["uvunwrap", "xatlas"])
 def test_uvs_are_checked(scan, library):
-    low = bisque.unwrap(bisque.simplify(scan, triangles=900), size=256, library=library)
+    low = bisque.unwrap(bisque.simplify(scan, triangles=800), size=256, library=library)
     report = low.report["uv"]
     assert report["overlapping_samples"] == report["flipped_triangles"] == 0
     assert 0.3 < report["used_share"] <= 1 and 1 <= report["stretch_p95"] < 3
