@@ -50,7 +50,7 @@ static void note_head(struct attribute_stream *stream, uint8_t *at, uint64_t cap
 {
     pthread_mutex_lock(&stream->lock);
     stream->head = at;
-    stream->unfaulted_end = at + capacity;
+    stream->unfaulted_end = at ? at + capacity : NULL;
     if (capacity == stream->spill.page_bytes)
         stream->unfaulted = at;
     pthread_mutex_unlock(&stream->lock);
