@@ -31,6 +31,7 @@ enum { SINGLE_RAYS_MOST = 24 };
 
 typedef float four_floats __attribute__((vector_size(16)));
 typedef int32_t four_ints __attribute__((vector_size(16)));
+typedef uint32_t four_uints __attribute__((vector_size(16)));
 
 static four_floats load_floats(const void *from, size_t offset)
 {
@@ -63,13 +64,14 @@ static inline uint32_t meet_children(const struct bake_tree_ray *ray,
                                      const struct bake_tree_section *section)
 {
     const four_floats step = four_steps(node);
-    /* The fourth words are not used. */
+    /* The fourth words are not used, and any bits: their difference must be allowed to wrap. */
     const four_ints corner = load_ints(node, offsetof(struct bake_tree_node, corner)) & ~7;
     const four_ints base = load_ints(ray, offsetof(struct bake_tree_ray, base));
     const four_floats start = load_floats(ray, offsetof(struct bake_tree_ray, start));
     const four_floats inverse = load_floats(ray, offsetof(struct bake_tree_ray, inverse));
     const four_floats margin = load_floats(ray, offsetof(struct bake_tree_ray, margin));
-    const four_floats from = __builtin_convertvector(corner - base, four_floats) - start;
+    const four_ints away = (four_ints)((four_uints)corner - (four_uints)base);
+    const four_floats from = __builtin_convertvector(away, four_floats) - start;
     const four_floats scale = inverse * step, zero = from * inverse;
     const four_floats near = zero - margin, far = zero + margin;
     const uint8_t *borders = node->borders[0][0];
