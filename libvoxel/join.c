@@ -7,9 +7,9 @@
 
 #include <string.h>
 
-/* A chunk under way. */
+/* A chunk under way: that of the slot's sequence number. */
 struct join_slot {
-    uint64_t chunk, size;
+    uint64_t size;
     void *scratch, *encoded;
     struct fmt_tris_chunk_info info;
 };
@@ -19,15 +19,12 @@ struct joining {
     const struct fmt_tris_file *file;
     const struct fmt_tris_header *header;
     struct fmt_tris_writer *writer;
-    uint64_t next;
 };
 
 static int join_produce(void *arg, void *slot, uint64_t sequence)
 {
-    struct joining *j = arg;
-    (void)sequence;
-    ((struct join_slot *)slot)->chunk = j->next;
-    return j->next++ < j->header->chunk_count;
+    (void)slot;
+    return sequence < ((const struct joining *)arg)->header->chunk_count;
 }
 
 static int join_work(void *arg, void *slot, uint64_t sequence, unsigned worker)
@@ -35,9 +32,8 @@ static int join_work(void *arg, void *slot, uint64_t sequence, unsigned worker)
     const struct joining *j = arg;
     struct join_slot *s = slot;
     struct fmt_tris_chunk chunk;
-    (void)sequence;
     (void)worker;
-    const int status = fmt_tris_load(j->file, s->chunk, s->scratch, &chunk);
+    const int status = fmt_tris_load(j->file, sequence, s->scratch, &chunk);
     return status < 0 ? status
                       : fmt_tris_encode(j->ctx, j->header->attributes, &chunk, s->encoded, &s->size,
                                         &s->info);
@@ -93,20 +89,13 @@ done:
 /* Makes the normals of the new file, unless the scan has its own. */
 static int join_normals(struct joining *j, const struct vox_join_options *options)
 {
-    struct fmt_tris_normals_writer *normals = NULL;
     enum bsq_scan_normals weights = options->scan_normals;
-    int status = 0;
     if (weights == BSQ_SCAN_NORMALS_AUTO)
         weights = fmt_tris_parts_normals(j->file);
     if (j->header->attributes & FMT_TRIS_NORMALS || weights == BSQ_SCAN_NORMALS_AUTO ||
         weights == BSQ_SCAN_NORMALS_FLAT)
         return 0;
-    BSQ_TRY(fmt_tris_normals_begin(j->writer, &normals));
-    BSQ_TRY(vox_make_normals(j->ctx, normals, weights, options->output_path));
-    status = fmt_tris_normals_end(normals, weights);
-done:
-    fmt_tris_normals_free(normals);
-    return status;
+    return vox_write_normals(j->ctx, j->writer, weights, options->output_path);
 }
 
 static void report_join(const struct joining *j, struct vox_sort_report *report)

@@ -318,15 +318,9 @@ static int sort_make_normals(struct bsq_ctx *ctx, const struct vox_sort_options 
     const enum bsq_scan_normals weights = options->scan_normals == BSQ_SCAN_NORMALS_AUTO
                                               ? BSQ_SCAN_NORMALS_SMOOTH
                                               : options->scan_normals;
-    struct fmt_tris_normals_writer *normals = NULL;
-    int status = 0;
     if (report->has_normals || weights == BSQ_SCAN_NORMALS_FLAT)
         return 0;
-    BSQ_TRY(fmt_tris_normals_begin(writer, &normals));
-    BSQ_TRY(vox_make_normals(ctx, normals, weights, options->tris_path));
-    status = fmt_tris_normals_end(normals, weights);
-done:
-    fmt_tris_normals_free(normals);
+    const int status = vox_write_normals(ctx, writer, weights, options->tris_path);
     report->seconds_sort += bsq_seconds_now() - start;
     return status;
 }

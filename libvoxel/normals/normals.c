@@ -26,9 +26,8 @@ int vox_normals_answer(struct normals_run *run, const struct normals_answer *ans
 
 /* ---- the answers of a chunk ---- */
 
-/* A chunk whose normals are completed. */
+/* A chunk whose normals are completed: that of the slot's sequence number. */
 struct answer_slot {
-    uint64_t chunk;
     struct normals_answer *answers; /* ANSWERS */
     /* Vertices, then creases. */
     uint64_t *normals;
@@ -37,17 +36,10 @@ struct answer_slot {
     uint64_t checksum;
 };
 
-struct answering {
-    struct normals_run *run;
-    uint64_t next;
-};
-
-static int answer_produce(void *arg, void *slot, uint64_t sequence)
+static int answer_produce(void *arg, void *slot, uint64_t chunk)
 {
-    struct answering *answering = arg;
-    (void)sequence;
-    ((struct answer_slot *)slot)->chunk = answering->next;
-    return answering->next++ < answering->run->chunk_count;
+    (void)slot;
+    return chunk < ((const struct normals_run *)arg)->chunk_count;
 }
 
 static int compare_creases(const void *a, const void *b)
@@ -62,7 +54,7 @@ static int take_answer(struct normals_run *run, struct answer_slot *s,
                        const struct normals_answer *answer)
 {
     const uint32_t vertex = answer->vertex & ~ANSWER_CREASE;
-    const uint64_t vertices = run->infos[s->chunk].vertex_count;
+    const uint64_t vertices = run->infos[answer->chunk].vertex_count;
     const struct fmt_tris_crease crease = {.vertex = vertex, .second = answer->second};
     const uint64_t words = sizeof crease / sizeof *s->normals;
     int status = 0;
@@ -76,10 +68,11 @@ static int take_answer(struct normals_run *run, struct answer_slot *s,
     return status;
 }
 
-/* Takes all answers for the slot's chunk. */
-static int take_answers(struct normals_run *run, struct answer_slot *s, bool *changed)
+/* Takes all answers for a chunk. */
+static int take_answers(struct normals_run *run, uint64_t chunk, struct answer_slot *s,
+                        bool *changed)
 {
-    const uint32_t bucket = (uint32_t)(s->chunk / run->answer_chunks);
+    const uint32_t bucket = (uint32_t)(chunk / run->answer_chunks);
     const uint64_t count = run->answers.list[bucket].bytes / sizeof *s->answers;
     struct bsq_spill_cursor cursor = {0};
     int status = 0;
@@ -88,7 +81,7 @@ static int take_answers(struct normals_run *run, struct answer_slot *s, bool *ch
         BSQ_TRY(bsq_spill_read(&run->answers, bucket, first * sizeof *s->answers,
                                some * sizeof *s->answers, s->answers, &cursor));
         for (uint64_t i = 0; i < some; i++)
-            if (s->answers[i].chunk == s->chunk) {
+            if (s->answers[i].chunk == chunk) {
                 BSQ_TRY(take_answer(run, s, &s->answers[i]));
                 *changed = true;
             }
@@ -97,43 +90,40 @@ done:
     return status;
 }
 
-static int answer_work(void *arg, void *slot, uint64_t sequence, unsigned worker)
+static int answer_work(void *arg, void *slot, uint64_t chunk, unsigned worker)
 {
-    struct normals_run *run = ((struct answering *)arg)->run;
+    struct normals_run *run = arg;
     struct answer_slot *s = slot;
-    const uint32_t vertices = run->infos[s->chunk].vertex_count;
+    const uint32_t vertices = run->infos[chunk].vertex_count;
     bool changed = false;
     int status;
-    (void)sequence;
     (void)worker;
     s->crease_count = 0;
     BSQ_TRY(bsq_grow(run->ctx, "normals", vertices, sizeof *s->normals, &s->normals,
                      &s->normals_capacity));
-    BSQ_TRY(fmt_tris_normals_get(run->writer, s->chunk, s->normals));
-    BSQ_TRY(take_answers(run, s, &changed));
+    BSQ_TRY(fmt_tris_normals_get(run->writer, chunk, s->normals));
+    BSQ_TRY(take_answers(run, chunk, s, &changed));
     bsq_sort(s->normals + vertices, s->crease_count, sizeof(struct fmt_tris_crease),
              compare_creases);
     s->checksum = fmt_tris_normals_checksum(s->normals, vertices, s->crease_count);
     if (changed)
-        status = fmt_tris_normals_put(run->writer, s->chunk, s->normals);
+        status = fmt_tris_normals_put(run->writer, chunk, s->normals);
 done:
     return status;
 }
 
-static int answer_emit(void *arg, void *slot, uint64_t sequence)
+static int answer_emit(void *arg, void *slot, uint64_t chunk)
 {
-    const struct normals_run *run = ((const struct answering *)arg)->run;
+    const struct normals_run *run = arg;
     const struct answer_slot *s = slot;
-    const void *creases = s->normals + run->infos[s->chunk].vertex_count;
-    (void)sequence;
+    const void *creases = s->normals + run->infos[chunk].vertex_count;
     bsq_progress_add(run->ctx, 1);
-    return fmt_tris_normals_finish(run->writer, s->chunk, creases, s->crease_count, s->checksum);
+    return fmt_tris_normals_finish(run->writer, chunk, creases, s->crease_count, s->checksum);
 }
 
 /* Completes the normals of all chunks. */
 static int complete_chunks(struct normals_run *run)
 {
-    struct answering answering = {.run = run};
     struct answer_slot *slots = NULL;
     const uint64_t count = (uint64_t)SLOTS * bsq_threads(run->ctx);
     int status;
@@ -143,7 +133,7 @@ static int complete_chunks(struct normals_run *run)
     const struct bsq_pipeline pipeline = {.produce = answer_produce,
                                           .work = answer_work,
                                           .emit = answer_emit,
-                                          .arg = &answering,
+                                          .arg = run,
                                           .slots = slots,
                                           .slot_size = sizeof *slots,
                                           .slot_count = (unsigned)count};
@@ -184,27 +174,54 @@ static int normals_make_buckets(struct normals_run *run, const char *beside)
                                        PAGE_BYTES, pages / 4);
 }
 
-int vox_make_normals(struct bsq_ctx *ctx, struct fmt_tris_normals_writer *writer,
-                     enum bsq_scan_normals weights, const char *beside)
+/* Fills a section with the normals of the chunks of its file. */
+static int fill_section(struct normals_run *run, const char *beside)
+{
+    int status;
+    run->infos = fmt_tris_chunks(run->file);
+    run->chunk_count = fmt_tris_get_header(run->file)->chunk_count;
+    if (run->chunk_count == 0)
+        return 0;
+    bsq_progress_begin(run->ctx, "normals", "chunks", 2 * run->chunk_count);
+    BSQ_TRY(normals_make_buckets(run, beside));
+    BSQ_TRY(vox_normals_visit_chunks(run));
+    BSQ_TRY(vox_normals_join_corners(run));
+    status = complete_chunks(run);
+done:
+    bsq_spill_free(&run->corners);
+    bsq_spill_free(&run->answers);
+    bsq_progress_end(run->ctx);
+    return status;
+}
+
+/* Fills, ends and frees a section. */
+static int make_section(struct bsq_ctx *ctx, struct fmt_tris_normals_writer *section,
+                        enum bsq_scan_normals weights, const char *beside)
 {
     struct normals_run run = {.ctx = ctx,
-                              .writer = writer,
-                              .file = fmt_tris_normals_file(writer),
+                              .writer = section,
+                              .file = fmt_tris_normals_file(section),
                               .weights = weights,
                               .lock = PTHREAD_MUTEX_INITIALIZER};
-    int status;
-    run.infos = fmt_tris_chunks(run.file);
-    run.chunk_count = fmt_tris_get_header(run.file)->chunk_count;
-    if (run.chunk_count == 0)
-        return 0;
-    bsq_progress_begin(ctx, "normals", "chunks", 2 * run.chunk_count);
-    BSQ_TRY(normals_make_buckets(&run, beside));
-    BSQ_TRY(vox_normals_visit_chunks(&run));
-    BSQ_TRY(vox_normals_join_corners(&run));
-    status = complete_chunks(&run);
-done:
-    bsq_spill_free(&run.corners);
-    bsq_spill_free(&run.answers);
-    bsq_progress_end(ctx);
+    int status = fill_section(&run, beside);
+    if (status == 0)
+        status = fmt_tris_normals_end(section, weights);
+    fmt_tris_normals_free(section);
     return status;
+}
+
+int vox_write_normals(struct bsq_ctx *ctx, struct fmt_tris_writer *writer,
+                      enum bsq_scan_normals weights, const char *beside)
+{
+    struct fmt_tris_normals_writer *section;
+    const int status = fmt_tris_normals_begin(writer, &section);
+    return status < 0 ? status : make_section(ctx, section, weights, beside);
+}
+
+int vox_replace_normals(struct bsq_ctx *ctx, struct fmt_tris_file *file,
+                        enum bsq_scan_normals weights, const char *beside)
+{
+    struct fmt_tris_normals_writer *section;
+    const int status = fmt_tris_normals_begin_temp(file, beside, &section);
+    return status < 0 ? status : make_section(ctx, section, weights, beside);
 }

@@ -20,9 +20,8 @@ struct ring_edges {
     uint64_t number, neighbours;
 };
 
-/* A chunk under way. */
+/* A chunk under way: that of the slot's sequence number. */
 struct ring_slot {
-    uint32_t chunk;
     struct fmt_tris_chunk tris;
     struct bsq_positions table; /* of vertices */
     struct vox_rings rings;
@@ -170,9 +169,9 @@ static void divide_creases(const struct normals_run *run, struct ring_slot *s)
         end = vox_rings_number_creases(&s->rings, begin, rings, CREASES, &count);
         if (count == 0)
             continue;
-        add(&s->rings, VOX_RING_FARTHEST, run->weights, 0, triangles);
+        add(&s->rings, VOX_RING_FARTHEST, run->weights, triangles);
         if (vox_rings_divide(&s->rings, begin, end)) {
-            add(&s->rings, VOX_RING_SIDES, run->weights, 0, triangles);
+            add(&s->rings, VOX_RING_SIDES, run->weights, triangles);
             keep_seconds(s, begin, end, count);
         }
         memset(&s->rings.crease_of[begin], 0, (end - begin) * sizeof *s->rings.crease_of);
@@ -181,28 +180,18 @@ static void divide_creases(const struct normals_run *run, struct ring_slot *s)
 
 /* ---- the pipeline ---- */
 
-/* The chunks, and their slots. */
-struct visit {
-    struct normals_run *run;
-    uint64_t next;
-};
-
-static int visit_produce(void *arg, void *slot, uint64_t sequence)
+static int visit_produce(void *arg, void *slot, uint64_t chunk)
 {
-    struct visit *visit = arg;
-    struct ring_slot *s = slot;
-    (void)sequence;
-    s->chunk = (uint32_t)visit->next;
-    return visit->next++ < visit->run->chunk_count;
+    (void)slot;
+    return chunk < ((const struct normals_run *)arg)->chunk_count;
 }
 
-static int visit_work(void *arg, void *slot, uint64_t sequence, unsigned worker)
+static int visit_work(void *arg, void *slot, uint64_t chunk, unsigned worker)
 {
-    const struct normals_run *run = ((const struct visit *)arg)->run;
+    const struct normals_run *run = arg;
     struct ring_slot *s = slot;
-    (void)sequence;
     (void)worker;
-    int status = fmt_tris_load(run->file, s->chunk, s->scratch, &s->tris);
+    int status = fmt_tris_load(run->file, chunk, s->scratch, &s->tris);
     if (status < 0)
         return status;
     if (s->tris.texcoords || s->tris.colors)
@@ -215,19 +204,20 @@ static int visit_work(void *arg, void *slot, uint64_t sequence, unsigned worker)
     memset(s->rings.sums, 0,
            (s->tris.vertex_count + UINT64_C(1)) * BSQ_RING_ROWS * sizeof *s->rings.sums);
     BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_add)
-    (&s->rings, VOX_RING_SUM, run->weights, 0, s->tris.triangle_count);
+    (&s->rings, VOX_RING_SUM, run->weights, s->tris.triangle_count);
     find_open(s);
     divide_creases(run, s);
     BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_pack)
     ((const double(*)[4])s->rings.sums, s->ring_of, s->tris.vertex_count, s->normals);
-    return fmt_tris_normals_put(run->writer, s->chunk, s->normals);
+    return fmt_tris_normals_put(run->writer, chunk, s->normals);
 }
 
 /* Sends the corners of a triangle that are at open vertices. */
-static int send_triangle(struct normals_run *run, struct ring_slot *s, uint32_t triangle)
+static int send_triangle(struct normals_run *run, uint32_t chunk, struct ring_slot *s,
+                         uint32_t triangle)
 {
     const uint32_t *v = s->tris.triangles[triangle];
-    struct open_corner record = {.chunk = s->chunk};
+    struct open_corner record = {.chunk = chunk};
     int status = 0;
     for (int i = 0; i < 3; i++)
         memcpy(record.triangle[i], s->tris.positions[v[i]], sizeof record.triangle[i]);
@@ -246,15 +236,15 @@ static int send_triangle(struct normals_run *run, struct ring_slot *s, uint32_t 
 
 static int visit_emit(void *arg, void *slot, uint64_t sequence)
 {
-    struct normals_run *run = ((struct visit *)arg)->run;
+    const uint32_t chunk = (uint32_t)sequence;
+    struct normals_run *run = arg;
     struct ring_slot *s = slot;
     int status = 0;
-    (void)sequence;
     for (uint32_t i = 0; i < s->open_count && status == 0; i++)
-        status = send_triangle(run, s, s->open_triangles[i]);
+        status = send_triangle(run, chunk, s, s->open_triangles[i]);
     for (uint32_t v = 0; v < s->tris.vertex_count && s->found_count > 0 && status == 0; v++) {
         const uint32_t found = s->found_of[s->ring_of[v]];
-        const struct normals_answer answer = {s->chunk, v | ANSWER_CREASE, s->normals[v],
+        const struct normals_answer answer = {chunk, v | ANSWER_CREASE, s->normals[v],
                                               found ? s->found[found - 1] : 0};
         status = found ? vox_normals_answer(run, &answer) : 0;
     }
@@ -264,7 +254,6 @@ static int visit_emit(void *arg, void *slot, uint64_t sequence)
 
 int vox_normals_visit_chunks(struct normals_run *run)
 {
-    struct visit visit = {.run = run};
     struct ring_slot *slots = NULL, counted = {0};
     const uint64_t bytes = slot_lay_out(run, NULL, &counted),
                    left = bsq_memory_share(run->ctx, "chunks for normals", 2),
@@ -283,7 +272,7 @@ int vox_normals_visit_chunks(struct normals_run *run)
     const struct bsq_pipeline pipeline = {.produce = visit_produce,
                                           .work = visit_work,
                                           .emit = visit_emit,
-                                          .arg = &visit,
+                                          .arg = run,
                                           .slots = slots,
                                           .slot_size = sizeof *slots,
                                           .slot_count = (unsigned)count};

@@ -140,7 +140,7 @@ static int run_records(struct open_worker *w, const struct open_part *part, bool
         if (answers)
             status = answer_records(w, count);
         else if (*fits)
-            add(&w->rings, step, w->run->weights, 0, count);
+            add(&w->rings, step, w->run->weights, count);
     }
 done:
     return status;

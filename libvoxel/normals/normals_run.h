@@ -1,4 +1,4 @@
-/* normals_run.h - one call of vox_make_normals(), for the sources of this folder. */
+/* normals_run.h - the making of one section of normals, for the sources of this folder. */
 #ifndef VOX_NORMALS_NORMALS_RUN_H
 #define VOX_NORMALS_NORMALS_RUN_H
 
@@ -49,8 +49,8 @@ int vox_normals_join_corners(struct normals_run *run);
 /* Adds answers of one chunk. */
 int vox_normals_answer(struct normals_run *run, const struct normals_answer *answer);
 
-/* Returns the next `count` items of memory, and moves *at behind them. memory: NULL to only count.
- */
+/* Gives an array of `count` items its place in a block of memory, and adds its bytes to *at. With
+ * NULL as memory it returns NULL: then *at is the size of the block that all arrays need. */
 static inline void *normals_place(uint8_t *memory, uint64_t *at, uint64_t count, uint64_t size)
 {
     void *to = memory ? memory + *at : NULL;

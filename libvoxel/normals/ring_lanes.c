@@ -5,15 +5,15 @@
 #include "base/geometry/vertex_normal.h"
 
 void BSQ_SIMD_NAME(vox_rings_add)(const struct vox_rings *r, enum vox_ring_step step,
-                                  enum bsq_scan_normals weights, uint32_t begin, uint32_t end)
+                                  enum bsq_scan_normals weights, uint32_t count)
 {
     if (step == VOX_RING_SUM)
-        bsq_add_one_rings(r->positions, r->triangles, begin, end, r->ring_of, weights, r->sums);
+        bsq_add_one_rings(r->positions, r->triangles, 0, count, r->ring_of, weights, r->sums);
     else if (step == VOX_RING_FARTHEST)
-        bsq_find_farthest(r->positions, r->triangles, begin, end, r->ring_of, r->crease_of,
+        bsq_find_farthest(r->positions, r->triangles, 0, count, r->ring_of, r->crease_of,
                           (const double(*)[4])r->sums, r->creases);
     else
-        bsq_add_sides(r->positions, r->triangles, begin, end, r->ring_of, r->crease_of,
+        bsq_add_sides(r->positions, r->triangles, 0, count, r->ring_of, r->crease_of,
                       (const double(*)[4])r->creases, r->sums, r->seconds);
 }
 

@@ -18,14 +18,14 @@ struct vox_rings {
     double (*creases)[4], (*seconds)[4];
 };
 
-/* A pass over triangles. */
+/* A pass over the first `count` triangles. */
 enum vox_ring_step {
     VOX_RING_SUM,      /* bsq_add_one_rings() */
     VOX_RING_FARTHEST, /* bsq_find_farthest() */
     VOX_RING_SIDES     /* bsq_add_sides() */
 };
 typedef void vox_rings_add_fn(const struct vox_rings *rings, enum vox_ring_step step,
-                              enum bsq_scan_normals weights, uint32_t begin, uint32_t end);
+                              enum bsq_scan_normals weights, uint32_t count);
 BSQ_SIMD_DECLARE(vox_rings_add_fn, vox_rings_add);
 
 /* Packs the normals of `count` one-rings, and the rises of the surface above their vertices

@@ -197,18 +197,12 @@ static int voxelize_choose_normals(struct vox_run *run)
     const bool automatic = run->options->scan_normals == BSQ_SCAN_NORMALS_AUTO;
     const enum bsq_scan_normals wanted =
         automatic ? fmt_tris_parts_normals(run->file) : run->options->scan_normals;
-    struct fmt_tris_normals_writer *writer = NULL;
     int status = 0;
     if (run->header->attributes & FMT_TRIS_NORMALS || wanted == BSQ_SCAN_NORMALS_FLAT)
         return 0;
-    if (wanted != run->header->made_normals) {
-        BSQ_TRY(fmt_tris_normals_begin_temp(run->file, run->options->grid_path, &writer));
-        BSQ_TRY(vox_make_normals(run->ctx, writer, wanted, run->options->grid_path));
-        BSQ_TRY(fmt_tris_normals_end(writer, wanted));
-    }
+    if (wanted != run->header->made_normals)
+        status = vox_replace_normals(run->ctx, run->file, wanted, run->options->grid_path);
     run->smooth = run->header->made_normals != 0;
-done:
-    fmt_tris_normals_free(writer);
     return status;
 }
 

@@ -220,16 +220,6 @@ static void write_chunk(struct bsq_ctx *ctx, struct fmt_tris_writer *writer, uin
     free(bytes);
 }
 
-/* Makes the normals of the chunks that were written. */
-static void make_made_normals(struct bsq_ctx *ctx, const char *path, struct fmt_tris_writer *writer)
-{
-    struct fmt_tris_normals_writer *section;
-    assert_int_equal(fmt_tris_normals_begin(writer, &section), 0);
-    assert_int_equal(vox_make_normals(ctx, section, BSQ_SCAN_NORMALS_SMOOTH, path), 0);
-    assert_int_equal(fmt_tris_normals_end(section, BSQ_SCAN_NORMALS_SMOOTH), 0);
-    fmt_tris_normals_free(section);
-}
-
 void scan_write(struct bsq_ctx *ctx, const char *path, const struct scan_mesh *mesh,
                 const double origin[3], const struct fmt_tris_material *materials,
                 uint32_t material_count, uint32_t chunk_triangles)
@@ -259,7 +249,7 @@ void scan_write(struct bsq_ctx *ctx, const char *path, const struct scan_mesh *m
         scan_mesh_free(&part);
     }
     if (!mesh->normals)
-        make_made_normals(ctx, path, writer);
+        assert_int_equal(vox_write_normals(ctx, writer, BSQ_SCAN_NORMALS_SMOOTH, path), 0);
     assert_int_equal(fmt_tris_commit(writer, NULL), 0);
     free(local);
     free(header.materials);

@@ -34,14 +34,10 @@ static enum bsq_scan_normals weights_of(const struct fixture *f)
 static void make_normals(struct bsq_ctx *ctx, struct fmt_tris_file *file,
                          enum bsq_scan_normals weights)
 {
-    struct fmt_tris_normals_writer *writer;
-    assert_int_equal(fmt_tris_normals_begin_temp(file, NULL, &writer), 0);
-    const int status = vox_make_normals(ctx, writer, weights, NULL);
+    const int status = vox_replace_normals(ctx, file, weights, NULL);
     if (status < 0)
         print_message("%s\n", bsq_error(ctx));
     assert_int_equal(status, 0);
-    assert_int_equal(fmt_tris_normals_end(writer, weights), 0);
-    fmt_tris_normals_free(writer);
 }
 
 static void decode(struct fixture *f, uint32_t index)
