@@ -227,7 +227,12 @@ int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratc
  * errors are those of fmt_tris_load(). */
 int fmt_tris_load_sample(const struct fmt_tris_file *file, uint64_t index, void *scratch,
                          struct fmt_tris_chunk *out, bool *found);
-/* Return the bytes of scratch that fmt_tris_load_normals() needs for any chunk. */
+/* Return the bytes of scratch that fmt_tris_load_normals() needs for a chunk, and for any chunk. */
+static inline uint64_t fmt_tris_normals_size(const struct fmt_tris_chunk_info *info)
+{
+    return info->vertex_count * sizeof(uint64_t) +
+           info->crease_count * sizeof(struct fmt_tris_crease);
+}
 uint64_t fmt_tris_normals_size_max(const struct fmt_tris_file *file);
 /* Reads the made normals of a chunk into `scratch` (8-byte aligned), to which *out points. Checks
  * checksum and vertex numbers. The file must have such normals. Thread-safe for distinct scratch.

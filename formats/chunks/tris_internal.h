@@ -166,15 +166,6 @@ int fmt_tris_read_unchanged(const struct fmt_tris_file *file, void *to, uint64_t
 /* Reports damage of a chunk of an open file; returns BSQ_EDATA. */
 int fmt_tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what);
 
-/* ---- tris_normals.c ---- */
-
-/* Returns the bytes of the normals and creases of a chunk. */
-static inline uint64_t tris_normals_bytes(const struct fmt_tris_chunk_info *info)
-{
-    return info->vertex_count * sizeof(uint64_t) +
-           info->crease_count * sizeof(struct fmt_tris_crease);
-}
-
 /* ---- tris_write.c ---- */
 
 /* Opens the chunks that were written so far, for loading only. Close *out before the writer. */

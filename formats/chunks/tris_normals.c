@@ -27,7 +27,7 @@ static int reserve_places(struct fmt_tris_normals_writer *w)
         *info = w->file->chunks[i];
         info->normals_offset = bsq_output_tell(w->output);
         info->crease_count = info->reserved = 0;
-        bsq_output_skip(w->output, tris_normals_bytes(info));
+        bsq_output_skip(w->output, fmt_tris_normals_size(info));
     }
     return status;
 }
@@ -136,8 +136,8 @@ int fmt_tris_normals_end(struct fmt_tris_normals_writer *w, enum bsq_scan_normal
     file->normals_size_max = 0;
     for (uint64_t i = 0; i < file->header.chunk_count; i++) {
         file->chunks[i] = w->infos[i];
-        if (tris_normals_bytes(&w->infos[i]) > file->normals_size_max)
-            file->normals_size_max = tris_normals_bytes(&w->infos[i]);
+        if (fmt_tris_normals_size(&w->infos[i]) > file->normals_size_max)
+            file->normals_size_max = fmt_tris_normals_size(&w->infos[i]);
     }
     return take_section(w);
 }

@@ -350,8 +350,8 @@ static int check_normals_places(struct fmt_tris_file *file, const struct tris_fi
                  info->crease_count <= info->vertex_count && info->reserved == 0;
         normals += info->vertex_count * sizeof(uint64_t);
         creases += info->crease_count * sizeof(struct fmt_tris_crease);
-        if (tris_normals_bytes(info) > file->normals_size_max)
-            file->normals_size_max = tris_normals_bytes(info);
+        if (fmt_tris_normals_size(info) > file->normals_size_max)
+            file->normals_size_max = fmt_tris_normals_size(info);
     }
     for (uint64_t i = 0; i < h->chunk_count && h->made_normals == 0; i++) {
         const struct fmt_tris_chunk_info *info = &file->chunks[i];

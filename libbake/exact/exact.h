@@ -67,16 +67,6 @@ void bake_exact_chunks_in(const struct bake_exact *exact, const float low[3], co
  * for the rays, hits and footprints that the caller allocates, and for more_bytes for each ray. */
 uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes);
 
-/* The memory with which a scan is traced at full speed, and its chunks. */
-struct bake_exact_needs {
-    uint64_t fixed_bytes; /* for any number of rays */
-    uint64_t ray_bytes;   /* of a ray, with its hit */
-    uint64_t scan_bytes;  /* of all chunks at once, for secondary rays */
-    uint32_t chunk_count;
-};
-/* Returns what `threads` threads need to trace. It does not depend on the context. */
-struct bake_exact_needs bake_exact_expect(const struct bake_exact *exact, uint32_t threads);
-
 /* Traces a batch on all threads. Must not be called from parallel work. Errors: BSQ_EDATA for a
  * damaged chunk, BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_exact_trace(struct bake_exact *exact, const struct bake_ray_batch *batch);

@@ -70,16 +70,6 @@ static uint64_t ray_bytes(const struct bake_exact *exact)
            exact_transfer_floats(exact) * sizeof(float) + BUCKET_BYTES_A_RAY;
 }
 
-struct bake_exact_needs bake_exact_expect(const struct bake_exact *exact, uint32_t threads)
-{
-    const uint32_t chunks = exact->chunk_count, slots = EXACT_SLOTS_A_THREAD * threads;
-    return (struct bake_exact_needs){
-        .fixed_bytes = plan_slots(exact, slots, false, threads, UINT64_MAX).bytes,
-        .ray_bytes = ray_bytes(exact),
-        .scan_bytes = plan_slots(exact, chunks, true, threads, UINT64_MAX).bytes,
-        .chunk_count = chunks};
-}
-
 uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes)
 {
     const uint64_t left = bsq_memory_share(exact->ctx, "chunks and rays", 1);

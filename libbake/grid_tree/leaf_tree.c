@@ -10,6 +10,7 @@
 #include <string.h>
 
 #include "base/context.h"
+#include "base/geometry/space_curve.h"
 #include "base/sort_array.h"
 #include "formats/grid/nvdb.h"
 
@@ -50,16 +51,6 @@ struct box {
 
 /* ---- the list of leaves ---- */
 
-/* Spreads the lowest 21 bits of a number to every third bit. */
-static uint64_t spread_bits(uint64_t v)
-{
-    v = (v | v << 32) & UINT64_C(0x001f00000000ffff);
-    v = (v | v << 16) & UINT64_C(0x001f0000ff0000ff);
-    v = (v | v << 8) & UINT64_C(0x100f00f00f00f00f);
-    v = (v | v << 4) & UINT64_C(0x10c30c30c30c30c3);
-    return (v | v << 2) & UINT64_C(0x1249249249249249);
-}
-
 static int by_key(const void *left, const void *right)
 {
     const uint64_t a = ((const struct leaf *)left)->key, b = ((const struct leaf *)right)->key;
@@ -69,8 +60,9 @@ static int by_key(const void *left, const void *right)
 /* Sets a leaf's corner and key. Returns whether it is within the grid's bounds. */
 static bool set_leaf(const struct fmt_nvdb_grid *grid, uint32_t number, struct leaf *leaf)
 {
+    uint32_t cell[3];
     bool inside = true;
-    *leaf = (struct leaf){.number = number};
+    leaf->number = number;
     memcpy(leaf->corner, grid->leaves + (uint64_t)number * BK_LEAF_WORDS * 8, sizeof leaf->corner);
     for (int k = 0; k < 3; k++) {
         /* Twice the extent, so that corners from here on have 20 bits above those of a leaf. */
@@ -78,9 +70,9 @@ static bool set_leaf(const struct fmt_nvdb_grid *grid, uint32_t number, struct l
         leaf->corner[k] &= ~7;
         inside &=
             leaf->corner[k] + 7 >= grid->index_min[k] && leaf->corner[k] <= grid->index_max[k];
-        leaf->key |= spread_bits(((uint32_t)leaf->corner[k] - (uint32_t)base) >> BK_LEAF_LOG2)
-                     << (2 - k);
+        cell[k] = ((uint32_t)leaf->corner[k] - (uint32_t)base) >> BK_LEAF_LOG2;
     }
+    leaf->key = bsq_morton_key(cell);
     return inside;
 }
 

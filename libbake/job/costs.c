@@ -19,8 +19,6 @@ static const struct speed exact_speed = {0.95e-6, 0.0, 2.3e-6, 4.0e-6, 9.0e-6};
  * that secondary rays need, which are all of the scan. */
 static const double load_seconds = 0.16e-6, reach_seconds = 0.65e-6, look_seconds = 0.16e-6;
 
-/* The threads that chunks are expected for. */
-enum { THREADS = 8 };
 /* A bake or a part, as far as scans are concerned. */
 struct share {
     const struct bake_work *job;
@@ -56,8 +54,8 @@ static double ray_seconds(const struct share *share, const struct speed *speed)
  * chunks, it touches (sqrt(n) + 1)^2. */
 static double load_chunks_seconds(const struct share *share, const struct bake_exact *exact)
 {
-    const double triangles = (double)bake_exact_header(exact)->triangle_count;
-    const double chunks = bake_exact_expect(exact, THREADS).chunk_count;
+    const struct fmt_tris_header *header = bake_exact_header(exact);
+    const double triangles = (double)header->triangle_count, chunks = (double)header->chunk_count;
     const double own = triangles * share->part, side = sqrt(chunks * share->part) + 1;
     const double loaded = triangles * fmin(side * side / chunks, 1);
     const uint32_t passes = share->job->maps & BAKE_MAP_CURVATURE ? 2 : 1;

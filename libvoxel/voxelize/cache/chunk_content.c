@@ -28,18 +28,12 @@ static struct vox_chunk_layout content_lay_out(const struct fmt_tris_file *file,
     return to;
 }
 
-static uint64_t made_bytes(const struct fmt_tris_chunk_info *info)
-{
-    return info->vertex_count * sizeof(uint64_t) +
-           info->crease_count * sizeof(struct fmt_tris_crease);
-}
-
 /* Returns a layout as small as the chunk needs: memory that is not touched takes no pages. */
 static struct vox_chunk_layout layout_of(const struct vox_chunk_source *from, uint32_t chunk)
 {
     const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(from->file)[chunk];
     return content_lay_out(from->file, from->smooth, fmt_tris_load_size(from->file, chunk),
-                           made_bytes(info), info->vertex_count, info->triangle_count);
+                           fmt_tris_normals_size(info), info->vertex_count, info->triangle_count);
 }
 
 uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
