@@ -131,10 +131,10 @@ static int load_slot(void *arg, uint64_t index, unsigned worker)
 /* Loads chunks into slots 0 to count - 1, and builds the tree over them. */
 static int look_load_group(struct bake_exact_look *look, const uint32_t *chunks, uint32_t count)
 {
-    for (uint32_t s = 0; s < count; s++)
+    for (uint32_t s = 0; s < count; s++) {
         look->memory.slots[s].number = chunks[s];
-    for (uint32_t s = 0; s < count; s++)
         look->memory.slots[s].loaded = false;
+    }
     look->loaded = 0;
     int status = bsq_parallel_for(look->exact->ctx, count, load_slot, look);
     if (status < 0)

@@ -1,7 +1,7 @@
 /* tree_rays.h - traces secondary rays through the tree of leaves; all instruction sets give the
  * bits of bk_tree_look(), which a GPU runs for each ray. */
-#ifndef BAKE_DEVICE_NATIVE_TREE_RAYS_H
-#define BAKE_DEVICE_NATIVE_TREE_RAYS_H
+#ifndef BAKE_GRID_TREE_TREE_RAYS_H
+#define BAKE_GRID_TREE_TREE_RAYS_H
 
 #include <stdbool.h>
 #include <stddef.h>

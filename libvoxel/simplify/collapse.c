@@ -612,12 +612,13 @@ static void cut_handle(struct collapse *c, const struct candidate *candidate)
         around += sqrt(square);
         drift = fmaxf(drift, c->drifts[cycle[i]]);
     }
-    /* No place in the new triangles is farther from the surface than the radius of their circle. */
-    const double area = bsq_dotd(normal, normal), square = area / (around * around);
+    /* No place in the new triangles is farther from the surface than the radius of their circle,
+     * which is twice their area by the way around them. */
+    const double area_square = bsq_dotd(normal, normal), square = area_square / (around * around);
     drift = add_drift(drift, square);
     const double fold = cap_folds(r, cycle, normal) ? fold_cost(c, longest) : 0;
     if (put_back(c, candidate,
-                 c->unit * cut_weight * area * square + drift_cost(c, drift) + fold) ||
+                 c->unit * cut_weight * area_square * square + drift_cost(c, drift) + fold) ||
         !vox_cut_cycle(r, cycle, copies))
         return;
     c->removed->handles++;

@@ -3,8 +3,8 @@
  * Takes a struct bake_driver from the API's folder and a job; gives texels. The grid goes up
  * through a staging buffer, workers trace patches in launch batches, and the device's clock tells
  * how long they took. */
-#ifndef BAKE_DEVICE_COMPUTE_COMPUTE_H
-#define BAKE_DEVICE_COMPUTE_COMPUTE_H
+#ifndef BAKE_DEVICE_GPU_GPU_H
+#define BAKE_DEVICE_GPU_GPU_H
 
 #include <pthread.h>
 

@@ -77,8 +77,9 @@ def _remove(folder: str) -> None:
     """Removes a temporary folder with all that is in it, also if a signal comes meanwhile."""
     try:
         shutil.rmtree(folder, ignore_errors=True)
-    finally:
+    except BaseException:  # a signal
         shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
 class Job:
