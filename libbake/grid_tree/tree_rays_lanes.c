@@ -78,18 +78,13 @@ static inline uint32_t meet_children(const struct bake_tree_ray *ray,
     eights t_in = eights_splat(bk_max(ray->t_begin, section->begin));
     eights t_out = eights_splat(bk_min(ray->t_last, section->end));
 
-    t_in = eights_max(t_in, eights_of_bytes(borders + ray->near[0]) * SPLAT_LANE(scale, 0) +
-                                SPLAT_LANE(near, 0));
-    t_out = eights_min(t_out, eights_of_bytes(borders + ray->far[0]) * SPLAT_LANE(scale, 0) +
-                                  SPLAT_LANE(far, 0));
-    t_in = eights_max(t_in, eights_of_bytes(borders + ray->near[1]) * SPLAT_LANE(scale, 1) +
-                                SPLAT_LANE(near, 1));
-    t_out = eights_min(t_out, eights_of_bytes(borders + ray->far[1]) * SPLAT_LANE(scale, 1) +
-                                  SPLAT_LANE(far, 1));
-    t_in = eights_max(t_in, eights_of_bytes(borders + ray->near[2]) * SPLAT_LANE(scale, 2) +
-                                SPLAT_LANE(near, 2));
-    t_out = eights_min(t_out, eights_of_bytes(borders + ray->far[2]) * SPLAT_LANE(scale, 2) +
-                                  SPLAT_LANE(far, 2));
+    for (int axis = 0; axis < 3; axis++) {
+        const eights by = SPLAT_LANE(scale, axis);
+        t_in = eights_max(t_in,
+                          eights_of_bytes(borders + ray->near[axis]) * by + SPLAT_LANE(near, axis));
+        t_out = eights_min(t_out,
+                           eights_of_bytes(borders + ray->far[axis]) * by + SPLAT_LANE(far, axis));
+    }
     return eights_not_above(t_in, t_out);
 }
 
