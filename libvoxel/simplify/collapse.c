@@ -630,7 +630,8 @@ static void cut_handle(struct collapse *c, const struct candidate *candidate)
     }
 }
 
-/* Takes the cheapest candidate, and collapses it if that is allowed. Errors: BSQ_ENOMEM. */
+/* Takes the cheapest candidate, and collapses it if that is allowed. Errors: BSQ_ENOMEM,
+ * BSQ_EINTR. */
 static int collapse_next(struct collapse *c)
 {
     const struct candidate candidate = pop(c);

@@ -34,18 +34,20 @@ static void rotate(float at[3])
     at[2] = first;
 }
 
-/* Makes a k-d tree (Bentley, 1975) of places: the one in the middle divides the others. */
-static void divide_places(struct vox_place *places, uint32_t count)
+/* Makes a k-d tree (Bentley, 1975) of places: the one in the middle divides the others. Errors:
+ * BSQ_EINTR. */
+static int divide_places(struct bsq_ctx *ctx, struct vox_place *places, uint32_t count)
 {
     const uint32_t middle = count / 2;
-    if (count < 2)
-        return;
+    int status = count > VOX_CHECK_EVERY ? bsq_check(ctx) : 0;
+    if (status < 0 || count < 2)
+        return status;
     bsq_sort(places, count, sizeof *places, compare_places);
     for (uint32_t i = 0; i < count; i++)
         if (i != middle)
             rotate(places[i].at);
-    divide_places(places, middle);
-    divide_places(places + middle + 1, count - middle - 1);
+    status = divide_places(ctx, places, middle);
+    return status < 0 ? status : divide_places(ctx, places + middle + 1, count - middle - 1);
 }
 
 static int build_places(struct vox_rings *r, struct vox_places *p)
@@ -60,9 +62,7 @@ static int build_places(struct vox_rings *r, struct vox_places *p)
         if (r->corner[v] != VOX_NONE)
             p->places[p->count++] = (struct vox_place){{at[0], at[1], at[2]}, v};
     }
-    if (status == 0)
-        divide_places(p->places, p->count);
-    return status;
+    return status < 0 ? status : divide_places(r->ctx, p->places, p->count);
 }
 
 static bool has_vertex(const struct vox_small_piece *piece, uint32_t v)

@@ -27,7 +27,8 @@ struct vox_small_piece {
 };
 
 /* Sets *piece to the piece of v. piece->count is 0 if it has more than VOX_PIECE_VERTICES, or if
- * nothing else is left. The caller frees places->places with bsq_free(). Errors: BSQ_ENOMEM. */
+ * nothing else is left. The caller frees places->places with bsq_free(). Errors: BSQ_ENOMEM,
+ * BSQ_EINTR. */
 int vox_find_small_piece(struct vox_rings *r, uint32_t v, struct vox_places *places,
                          struct vox_small_piece *piece);
 
