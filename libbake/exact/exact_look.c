@@ -10,7 +10,7 @@
  * so open rays start above the triangle by no more than rounding errors. And normals are
  * interpolated, so some of the directions around them point through the triangle of the hit; these
  * are mirrored at it. So a convex body is open everywhere. */
-#include "libbake/exact/exact_scene.h"
+#include "libbake/exact/exact_leaves.h"
 
 #include <float.h>
 #include <math.h>
@@ -23,11 +23,15 @@ enum { BLOCK = 64 /* viewpoints that a thread traces at a time */ };
 struct bake_exact_look {
     struct bake_exact *exact;
     const struct bk_params *params;
-    struct exact_slots memory;
+    void *memory; /* of the chunks' leaves */
+    uint64_t bytes;
+    char *scratch; /* of those who load chunks, scratch_bytes each */
+    uint64_t scratch_bytes;
+    uint32_t loaders;         /* who may load chunks at the same time */
     struct exact_group group; /* the chunks in memory */
     uint32_t loaded;          /* of them */
-    bool whole;               /* they are all of the scan's */
-    struct exact_box *boxes;  /* of the slots' chunks */
+    bool whole;               /* all of the scan's chunks fit */
+    struct exact_box *boxes;  /* of the chunks in memory */
     void *tree_memory;
     uint32_t *reached; /* chunks that the current viewpoints can reach */
 };
@@ -37,7 +41,10 @@ struct pass {
     struct bake_exact_look *look;
     const struct bake_viewpoints *viewpoints;
     struct bake_ray_states *states;
-    uint64_t steps, step; /* of the progress: groups of chunks; those before this one */
+    uint64_t steps, step;   /* of the progress: groups of chunks; those before this one */
+    const uint32_t *chunks; /* of the group that is loaded */
+    uint32_t count;
+    bool sorted, sided; /* see bake_exact_leaves_build() */
 };
 
 /* ---- tracing ---- */
@@ -52,10 +59,10 @@ static void trace_kind(const struct pass *pass, const bk_viewpoint *viewpoint, u
     const bool any = open && states->words > 0;
     const uint64_t *hidden = bake_hidden_rays(states, index);
     const float *distances = bake_ray_distances(states, index, open);
-    struct exact_limits limits = {
+    struct exact_look_limits limits = {
         .two_sided = open, .facing_origin = viewpoint->side < 0, .any = any};
     for (uint32_t i = 0; i < kind.count; i++) {
-        struct exact_best best = {.triangle = BAKE_NO_HIT};
+        double t;
         if (any && hidden[i / 64] >> (i % 64) & 1)
             continue;
         const bk_vec3 from = bk_ray_start(&kind, viewpoint);
@@ -63,8 +70,8 @@ static void trace_kind(const struct pass *pass, const bk_viewpoint *viewpoint, u
         const struct bake_ray ray = {{from.x, from.y, from.z}, {d.x, d.y, d.z}};
         limits.t_max = (double)(any ? kind.limit : fminf(distances[i], kind.limit));
         if (BSQ_SIMD_PICK(look->exact->simd, bake_exact_group_trace)(&look->group, &ray, &limits,
-                                                                     &best))
-            bake_note_hit(states, index, open, i, (float)best.t);
+                                                                     &t))
+            bake_note_hit(states, index, open, i, (float)t);
     }
 }
 
@@ -115,28 +122,77 @@ static uint32_t find_reached(const struct pass *pass)
     return bake_exact_tree_overlapping(&look->exact->tree, &box, look->reached);
 }
 
-static int load_slot(void *arg, uint64_t index, unsigned worker)
+static uint64_t leaves_bytes(const struct bake_exact_look *look, uint32_t chunk)
 {
-    struct bake_exact_look *look = arg;
-    const struct fmt_tris_chunk_info *chunk =
-        &look->exact->chunks[look->memory.slots[index].number];
-    int status = bake_exact_slot_prepare(look->exact, &look->memory, false, index, worker);
+    return bake_exact_leaves_bytes(look->exact->chunks[chunk].triangle_count);
+}
+
+/* Returns how many of some chunks fit into memory together, at least one. */
+static uint32_t count_fitting(const struct bake_exact_look *look, const uint32_t *chunks,
+                              uint32_t count)
+{
+    uint64_t bytes = 0;
+    uint32_t fitting = 0;
+    while (fitting < count && (bytes += leaves_bytes(look, chunks[fitting])) <= look->bytes)
+        fitting++;
+    return fitting;
+}
+
+static int load_chunk_leaves(const struct pass *pass, uint32_t index, char *memory, char *scratch)
+{
+    const struct bake_exact_look *look = pass->look;
+    const struct bake_exact *exact = look->exact;
+    const uint32_t number = pass->chunks[index];
+    const struct fmt_tris_chunk_info *info = &exact->chunks[number];
+    struct fmt_tris_chunk chunk;
+    int status = fmt_tris_load(exact->file, number, scratch, &chunk);
     if (status < 0)
         return status;
-    memcpy(look->boxes[index].low, chunk->bounds_min, sizeof look->boxes[index].low);
-    memcpy(look->boxes[index].high, chunk->bounds_max, sizeof look->boxes[index].high);
+    ++*exact->loads;
+    if (exact->points)
+        bake_exact_take_areas(exact, number, &chunk);
+    bake_exact_leaves_build(&chunk, pass->sorted, pass->sided, memory,
+                            scratch +
+                                bsq_align_up(fmt_tris_load_size_max(exact->file), BSQ_ALIGNMENT),
+                            &look->group.chunks[index]);
+    memcpy(look->boxes[index].low, info->bounds_min, sizeof look->boxes[index].low);
+    memcpy(look->boxes[index].high, info->bounds_max, sizeof look->boxes[index].high);
     return 0;
 }
 
-/* Loads chunks into slots 0 to count - 1, and builds the tree over them. */
-static int look_load_group(struct bake_exact_look *look, const uint32_t *chunks, uint32_t count)
+/* Loads each chunk of a group whose turn is this loader's. */
+static int load_some(void *arg, uint64_t loader, unsigned worker)
 {
-    for (uint32_t s = 0; s < count; s++) {
-        look->memory.slots[s].number = chunks[s];
-        look->memory.slots[s].loaded = false;
+    const struct pass *pass = arg;
+    const struct bake_exact_look *look = pass->look;
+    char *memory = look->memory, *scratch = look->scratch + loader * look->scratch_bytes;
+    int status = 0;
+    (void)worker;
+    for (uint32_t i = 0; i < pass->count && status == 0; i++) {
+        if (i % look->loaders == loader)
+            status = load_chunk_leaves(pass, i, memory, scratch);
+        if (status == 0)
+            status = bsq_check(look->exact->ctx);
+        memory += leaves_bytes(look, pass->chunks[i]);
     }
+    return status;
+}
+
+/* Loads chunks, and builds the tree over them. Triangles are sorted if there are so many rays that
+ * it pays. */
+static int look_load_group(struct pass *pass, const uint32_t *chunks, uint32_t count)
+{
+    struct bake_exact_look *look = pass->look;
+    uint64_t triangles = 0;
+    for (uint32_t i = 0; i < count; i++)
+        triangles += look->exact->chunks[chunks[i]].triangle_count;
+    pass->chunks = chunks;
+    pass->count = count;
+    pass->sorted =
+        pass->viewpoints->count * (pass->states->opens + pass->states->solids) > triangles;
+    pass->sided = pass->states->solids > 0;
     look->loaded = 0;
-    int status = bsq_parallel_for(look->exact->ctx, count, load_slot, look);
+    int status = bsq_parallel_for(look->exact->ctx, look->loaders, load_some, pass);
     if (status < 0)
         return status;
     look->loaded = count;
@@ -148,19 +204,19 @@ int bake_exact_look_from(struct bake_exact_look *look, const struct bake_viewpoi
                          struct bake_ray_states *states)
 {
     struct pass pass = {.look = look, .viewpoints = viewpoints, .states = states};
-    const uint32_t slots = look->memory.count;
-    uint32_t count = look->exact->chunk_count;
+    uint32_t count = look->exact->chunk_count, fitting;
     int status = 0;
     if (look->whole)
         for (uint32_t c = 0; c < count; c++)
             look->reached[c] = c;
     else
         count = find_reached(&pass);
-    pass.steps = (count + slots - 1) / slots;
-    for (uint32_t c = 0; c < count; c += slots, pass.step++) {
-        const uint32_t loaded = count - c < slots ? count - c : slots;
+    for (uint32_t c = 0; c < count; c += count_fitting(look, look->reached + c, count - c))
+        pass.steps++;
+    for (uint32_t c = 0; c < count; c += fitting, pass.step++) {
+        fitting = count_fitting(look, look->reached + c, count - c);
         if (!look->whole || look->loaded == 0)
-            BSQ_TRY(look_load_group(look, look->reached + c, loaded));
+            BSQ_TRY(look_load_group(&pass, look->reached + c, fitting));
         BSQ_TRY(
             bsq_parallel_ranges(look->exact->ctx, viewpoints->count, BLOCK, trace_block, &pass));
     }
@@ -183,15 +239,37 @@ float bake_exact_lift(const struct bake_exact *exact)
 
 static int look_allocate(struct bake_exact_look *look)
 {
-    struct bsq_ctx *ctx = look->exact->ctx;
+    const struct bake_exact *exact = look->exact;
+    struct bsq_ctx *ctx = exact->ctx;
+    const uint64_t share = bsq_memory_share(ctx, "chunks for secondary rays", 3);
+    uint64_t all = 0, largest = 0;
+    uint32_t triangles = 0;
     int status = 0;
-    BSQ_TRY(bake_exact_slots_create(look->exact, look->exact->chunk_count,
-                                    bsq_memory_share(ctx, "chunks for secondary rays", 3), true,
-                                    &look->memory));
-    const uint32_t slots = look->memory.count;
-    BSQ_TRY(bsq_alloc(ctx, "tree of chunks", bake_exact_tree_bytes(slots), 1, &look->tree_memory));
-    BSQ_TRY(bsq_alloc(ctx, "tree of chunks", slots, sizeof *look->boxes, &look->boxes));
-    BSQ_TRY(bsq_alloc(ctx, "chunks near rays", look->exact->chunk_count, sizeof *look->reached,
+    for (uint32_t c = 0; c < exact->chunk_count; c++) {
+        const uint64_t bytes = leaves_bytes(look, c);
+        all += bytes;
+        largest = bytes > largest ? bytes : largest;
+        triangles = exact->chunks[c].triangle_count > triangles ? exact->chunks[c].triangle_count
+                                                                : triangles;
+    }
+    look->scratch_bytes = bsq_align_up(fmt_tris_load_size_max(exact->file), BSQ_ALIGNMENT) +
+                          bake_exact_leaves_scratch_bytes(triangles);
+    look->loaders = bsq_threads(ctx);
+    while (look->loaders > 1 && look->loaders * look->scratch_bytes > share / 4)
+        look->loaders--;
+    const uint64_t scratch = look->loaders * look->scratch_bytes,
+                   left = share > scratch + largest ? share - scratch : largest;
+    look->bytes = all < left ? all : left;
+    look->whole = look->bytes == all;
+    BSQ_TRY(bsq_alloc(ctx, "chunks for secondary rays", look->bytes, 1, &look->memory));
+    BSQ_TRY(bsq_alloc(ctx, "chunks for secondary rays", scratch, 1, &look->scratch));
+    BSQ_TRY(bsq_alloc(ctx, "chunks for secondary rays", exact->chunk_count,
+                      sizeof *look->group.chunks, &look->group.chunks));
+    BSQ_TRY(bsq_alloc(ctx, "tree of chunks", bake_exact_tree_bytes(exact->chunk_count), 1,
+                      &look->tree_memory));
+    BSQ_TRY(
+        bsq_alloc(ctx, "tree of chunks", exact->chunk_count, sizeof *look->boxes, &look->boxes));
+    BSQ_TRY(bsq_alloc(ctx, "chunks near rays", exact->chunk_count, sizeof *look->reached,
                       &look->reached));
 done:
     return status;
@@ -208,8 +286,6 @@ int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *par
     look->exact = exact;
     look->params = params;
     status = look_allocate(look);
-    look->group = (struct exact_group){.exact = exact, .slots = look->memory.slots};
-    look->whole = look->memory.count == exact->chunk_count;
     if (status < 0)
         bake_exact_look_free(look);
     else
@@ -222,7 +298,9 @@ void bake_exact_look_free(struct bake_exact_look *look)
     if (!look)
         return;
     struct bsq_ctx *ctx = look->exact->ctx;
-    bake_exact_slots_free(ctx, &look->memory);
+    bsq_free(ctx, look->memory);
+    bsq_free(ctx, look->scratch);
+    bsq_free(ctx, look->group.chunks);
     bsq_free(ctx, look->tree_memory);
     bsq_free(ctx, look->boxes);
     bsq_free(ctx, look->reached);

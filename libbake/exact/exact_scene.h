@@ -94,7 +94,6 @@ struct exact_slot {
     bool loaded;
     struct fmt_tris_chunk chunk;
     struct exact_tree tree;
-    struct exact_box8 *runs;         /* boxes of their triangles; NULL: these are not kept */
     struct fmt_tris_normals normals; /* that were made; while hits are evaluated, in tree_memory */
     void *chunk_memory, *tree_memory;
     bool hit; /* some hits are in its chunk */
@@ -109,10 +108,9 @@ struct exact_slots {
     void *memory; /* holds the buffers of all slots and preparers */
 };
 
-/* Allocates 1 to `most` slots, as many as fit `memory` bytes. runs: the boxes of triangles are
- * kept. Free them, also after a failure. */
+/* Allocates 1 to `most` slots, as many as fit `memory` bytes. Free them, also after a failure. */
 int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint64_t memory,
-                            bool runs, struct exact_slots *out);
+                            struct exact_slots *out);
 void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots);
 
 /* Takes the points of a chunk that has just been loaded, unless they were taken before. */
@@ -145,7 +143,6 @@ static inline bool exact_wins(double t, uint64_t triangle, double other_t, uint6
 struct exact_limits {
     double t_min, t_max, gap;
     bool facing_origin, two_sided; /* as in struct bake_ray_batch and bake_exact_options */
-    bool any;                      /* the first hit that is found will do */
     bool from_reach;               /* as in struct bake_ray_batch */
 };
 
@@ -157,18 +154,6 @@ typedef unsigned bake_exact_slot_trace_fn(const struct exact_slot *slot, uint64_
                                           const struct exact_limits *limits,
                                           struct exact_best *best);
 BSQ_SIMD_DECLARE(bake_exact_slot_trace_fn, bake_exact_slot_trace);
-
-/* Chunks in memory, with a tree over their bounds. */
-struct exact_group {
-    const struct bake_exact *exact;
-    const struct exact_slot *slots;
-    struct exact_tree tree;
-};
-
-/* Does what bake_exact_slot_trace() does with the triangles of all slots of the group. */
-typedef bool bake_exact_group_trace_fn(const struct exact_group *group, const struct bake_ray *ray,
-                                       const struct exact_limits *limits, struct exact_best *best);
-BSQ_SIMD_DECLARE(bake_exact_group_trace_fn, bake_exact_group_trace);
 
 /* Writes the numbers of the boxes that rays, at most BAKE_RAY_BUNDLE, cross between t_min and
  * t_max to out[], ascending, and returns their count. Boxes near the rays may be among them. boxes:

@@ -11,7 +11,7 @@
 /* Sizes in bytes of the buffers of a slot, and of a thread that prepares one, which fit every
  * chunk. A slot never needs its tree and its normals at the same time. */
 struct sizes {
-    uint64_t chunk, tree, runs, slot;
+    uint64_t chunk, tree, slot;
     uint64_t boxes;
 };
 
@@ -20,7 +20,7 @@ static uint64_t slots_larger(uint64_t a, uint64_t b)
     return a > b ? a : b;
 }
 
-static struct sizes buffer_sizes(const struct bake_exact *exact, bool runs)
+static struct sizes buffer_sizes(const struct bake_exact *exact)
 {
     struct sizes sizes = {0};
     uint32_t triangles = 0;
@@ -30,11 +30,9 @@ static struct sizes buffer_sizes(const struct bake_exact *exact, bool runs)
     }
     sizes.chunk = bsq_align_up(fmt_tris_load_size_max(exact->file), BSQ_ALIGNMENT);
     sizes.tree = bsq_align_up(bake_exact_tree_bytes(exact_runs(triangles)), BSQ_ALIGNMENT);
-    sizes.runs = runs ? exact_runs(triangles) * sizeof(struct exact_box8) : 0;
     sizes.boxes = bsq_align_up(exact_runs(triangles) * sizeof(struct exact_box), BSQ_ALIGNMENT);
     const uint64_t normals = exact->smooth ? fmt_tris_normals_size_max(exact->file) : 0;
-    sizes.slot =
-        sizes.chunk + slots_larger(sizes.tree + sizes.runs, bsq_align_up(normals, BSQ_ALIGNMENT));
+    sizes.slot = sizes.chunk + slots_larger(sizes.tree, bsq_align_up(normals, BSQ_ALIGNMENT));
     return sizes;
 }
 
@@ -45,10 +43,10 @@ struct plan {
 };
 
 /* Plans up to `most` slots, at least one, that fit `memory` bytes; each thread prepares one. */
-static struct plan plan_slots(const struct bake_exact *exact, uint32_t most, bool runs,
-                              uint32_t threads, uint64_t memory)
+static struct plan plan_slots(const struct bake_exact *exact, uint32_t most, uint32_t threads,
+                              uint64_t memory)
 {
-    const struct sizes sizes = buffer_sizes(exact, runs);
+    const struct sizes sizes = buffer_sizes(exact);
     const uint64_t slot = sizes.slot, scratch = sizes.boxes;
     struct plan plan = {.slots = most, .preparers = most < threads ? most : threads};
     while (plan.slots > 1 && plan.slots * slot + plan.preparers * scratch > memory) {
@@ -74,11 +72,11 @@ uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes
 {
     const uint64_t left = bsq_memory_share(exact->ctx, "chunks and rays", 1);
     const uint32_t threads = bsq_threads(exact->ctx);
-    const uint64_t fixed =
-        plan_slots(exact, exact_wave_slots(exact), false, threads, left / 4).bytes +
-        bake_exact_buckets_scratch_bytes(exact) + (exact->chunk_count + 1) * sizeof(uint64_t) +
-        (exact_bucket_entries(exact, 0) + BAKE_RAY_BUNDLE) * BUCKET_BYTES +
-        EXACT_LOCKS * sizeof(pthread_mutex_t);
+    const uint64_t fixed = plan_slots(exact, exact_wave_slots(exact), threads, left / 4).bytes +
+                           bake_exact_buckets_scratch_bytes(exact) +
+                           (exact->chunk_count + 1) * sizeof(uint64_t) +
+                           (exact_bucket_entries(exact, 0) + BAKE_RAY_BUNDLE) * BUCKET_BYTES +
+                           EXACT_LOCKS * sizeof(pthread_mutex_t);
     const uint64_t ray = ray_bytes(exact) + more_bytes;
     /* An eighth is left to other parts of the job. */
     const uint64_t usable = left / 8 * 7;
@@ -87,11 +85,11 @@ uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes
 }
 
 int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint64_t memory,
-                            bool runs, struct exact_slots *out)
+                            struct exact_slots *out)
 {
     struct bsq_ctx *ctx = exact->ctx;
-    const struct sizes sizes = buffer_sizes(exact, runs);
-    const struct plan plan = plan_slots(exact, most, runs, bsq_threads(ctx), memory);
+    const struct sizes sizes = buffer_sizes(exact);
+    const struct plan plan = plan_slots(exact, most, bsq_threads(ctx), memory);
     *out = (struct exact_slots){.count = plan.slots, .preparers = plan.preparers};
     int status = 0;
     BSQ_TRY(bsq_calloc(ctx, "chunks in memory", plan.slots, sizeof *out->slots, &out->slots));
@@ -100,8 +98,6 @@ int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint6
     for (uint32_t s = 0; s < plan.slots; s++, at += sizes.slot) {
         out->slots[s].chunk_memory = at;
         out->slots[s].tree_memory = at + sizes.chunk;
-        if (runs)
-            out->slots[s].runs = (struct exact_box8 *)(void *)(at + sizes.chunk + sizes.tree);
     }
     out->boxes = at;
     out->boxes_bytes = sizes.boxes;
@@ -143,8 +139,6 @@ static void build_tree(struct exact_slot *slot, struct exact_box *boxes)
         boxes[r] = slots_bounds_of(chunk, EXACT_RUN * r,
                                    count - EXACT_RUN * r < EXACT_RUN ? count : EXACT_RUN * (r + 1));
     bake_exact_tree_build(&slot->tree, runs, boxes, slot->tree_memory);
-    for (uint32_t r = 0; slot->runs && r < runs; r++)
-        exact_run_set(chunk, r, &slot->runs[r]);
 }
 
 /* Loads the chunk of a slot, or its sample if `sampled` and it has one. */

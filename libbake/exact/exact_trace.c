@@ -290,7 +290,7 @@ static int allocate_chunks(const struct wave *wave)
 {
     struct bake_exact_sweep *memory = wave->memory;
     const uint64_t share = bsq_memory_share(wave->exact->ctx, "chunks of a wave", 2);
-    return bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact), share, false,
+    return bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact), share,
                                    &memory->slots);
 }
 

@@ -4,10 +4,9 @@
  * Boxes are packed by eights in their order, level by level (Kamel & Faloutsos, "On Packing
  * R-trees", 1993): chunk files keep chunks and triangles along a curve through space
  * (formats/FORMATS.md), so that neighbours share a node. Building takes linear time, children need
- * no stored numbers, and the memory is known beforehand. A surface-area heuristic would cost more
- * and gain little: the triangles of scans are small and of similar size, and the tree of a chunk
- * serves the rays of one batch only. Sorting boxes along a Hilbert curve took longer than building
- * the tree, and rays were no faster. */
+ * no stored numbers, and the memory is known beforehand. Sorting them first
+ * takes longer than the rays along normals of one batch gain; exact_leaves.c does it for those from
+ * hits. */
 #ifndef BAKE_EXACT_EXACT_TREE_H
 #define BAKE_EXACT_EXACT_TREE_H
 

@@ -2,59 +2,37 @@
  *
  * The leaves of the tree are runs of EXACT_RUN triangles. So that most triangles that are tested in
  * double are hit, these have boxes, too. A bundle makes those of the runs that it enters: that
- * takes no longer than to bring them from memory. Secondary rays enter a run many times, one by
- * one, so theirs are kept. */
+ * takes no longer than to bring them from memory. */
 #include <string.h>
 
-#include "libbake/exact/exact_line.h"
 #include "libbake/exact/exact_scene.h"
-
-/* Where a hit of a ray would win; shrinks with each hit. */
-struct range {
-    struct exact_span span;
-    float reach;    /* best->reach, from which distances to boxes count */
-    float farthest; /* distance up to which a hit could win */
-    double t_max;   /* of hits that count */
-};
+#include "libbake/exact/exact_walk.h"
 
 struct trace {
     const struct exact_slot *slot;
     uint64_t first;
     const struct exact_limits *limits;
     const struct bake_ray *ray;
-    struct exact_line line;
+    struct exact_walk walk;
+    double t_max;             /* of hits that count */
     struct exact_shear shear; /* set for the first triangle: many rays meet none */
     bool sheared;
-    struct range range;
     struct exact_best *best;
-    bool improved, done;             /* done: no better hit is needed */
-    const struct exact_group *group; /* whose slots are walked one after another */
+    bool improved;
 };
 
-/* Sets the span and the distance to where hits would win over the best one. */
-static void set_span(struct range *range, const struct exact_best *best,
-                     const struct exact_limits *limits)
+/* Returns where hits would win over the best one. */
+static struct exact_range range_of(double t_max, const struct exact_best *best,
+                                   const struct exact_limits *limits)
 {
     const double reach = best->reach, t = best->t;
-    double begin = limits->t_min, end = range->t_max;
+    double begin = limits->t_min, end = t_max;
     if (best->triangle != BAKE_NO_HIT) {
         const double least = t <= reach ? t : -t, most = t > reach || -t > reach ? fabs(t) : reach;
         begin = begin > least ? begin : least;
         end = end < most ? end : most;
     }
-    range->span = exact_span_of(begin, end);
-    /* With more than the differences here and of the distances are rounded by. */
-    const float in = range->reach - range->span.begin, out = range->span.end - range->reach;
-    range->farthest = (in > out ? in : out) * (1.0f + 4.8e-7f);
-}
-
-static struct range range_of(const struct exact_best *best, const struct exact_limits *limits)
-{
-    struct range range = {.reach = (float)best->reach, .t_max = limits->t_max};
-    if (limits->from_reach && best->reach < limits->t_max)
-        range.t_max = best->reach;
-    set_span(&range, best, limits);
-    return range;
+    return exact_range_of(begin, end, (float)reach);
 }
 
 /* Tests a triangle, and takes its hit if that wins. */
@@ -71,7 +49,7 @@ static void walk_try_triangle(struct trace *trace, uint32_t triangle)
     trace->sheared = true;
     if (!exact_cross_triangle(&trace->shear, chunk->positions[v[0]], chunk->positions[v[1]],
                               chunk->positions[v[2]], &crossing) ||
-        !(crossing.t >= limits->t_min && crossing.t <= trace->range.t_max) ||
+        !(crossing.t >= limits->t_min && crossing.t <= trace->t_max) ||
         fabs(crossing.t) < limits->gap)
         return;
     if (best->triangle != BAKE_NO_HIT &&
@@ -84,97 +62,25 @@ static void walk_try_triangle(struct trace *trace, uint32_t triangle)
     }
     *best = (struct exact_best){crossing.t, number, crossing.w1, crossing.w2, best->reach};
     trace->improved = true;
-    trace->done = limits->any;
-    set_span(&trace->range, best, limits);
+    trace->walk.range = range_of(trace->t_max, best, limits);
 }
 
 /* Tests the triangles of a run that have these boxes. */
 static inline void try_boxes(struct trace *trace, uint32_t run, const struct exact_box8 *boxes)
 {
     eights distances;
-    unsigned bits =
-        exact_line_crosses(&trace->line, boxes, trace->range.span, trace->range.reach, &distances);
-    for (; bits && !trace->done; bits &= bits - 1)
+    unsigned bits = exact_line_crosses(&trace->walk.line, boxes, trace->walk.range.span,
+                                       trace->walk.range.reach, &distances);
+    for (; bits; bits &= bits - 1)
         walk_try_triangle(trace, EXACT_RUN * run + (unsigned)__builtin_ctz(bits));
 }
 
-static void try_run(struct trace *trace, uint32_t run)
+static void try_run(void *arg, uint32_t run)
 {
+    struct trace *trace = arg;
     struct exact_box8 boxes;
-    if (!trace->slot->runs)
-        exact_run_set(&trace->slot->chunk, run, &boxes);
-    try_boxes(trace, run, trace->slot->runs ? &trace->slot->runs[run] : &boxes);
-}
-
-struct entry {
-    float distance;
-    uint32_t level, node;
-};
-
-/* Pushes the children that the ray crosses, the nearest one last. Returns the new depth. */
-static uint32_t push_children(struct entry *stack, uint32_t depth, uint32_t level, uint32_t node,
-                              unsigned bits, const float distances[8])
-{
-    const uint32_t base = depth;
-    if ((bits & (bits - 1)) == 0 && bits != 0) {
-        const unsigned c = (unsigned)__builtin_ctz(bits);
-        stack[depth] = (struct entry){distances[c], level - 1, 8 * node + c};
-        return depth + 1;
-    }
-    for (; bits; bits &= bits - 1) {
-        const unsigned c = (unsigned)__builtin_ctz(bits);
-        uint32_t at = depth++;
-        for (; at > base && stack[at - 1].distance < distances[c]; at--)
-            stack[at] = stack[at - 1];
-        stack[at] = (struct entry){distances[c], level - 1, 8 * node + c};
-    }
-    return depth;
-}
-
-/* Calls `visit` for the boxes of a tree that the ray crosses where a hit would win, near ones
- * first.
- */
-static inline void walk_walk_tree(struct trace *trace, const struct exact_tree *tree,
-                                  void (*visit)(struct trace *trace, uint32_t box))
-{
-    struct entry stack[EXACT_TREE_STACK];
-    eights crossed;
-    float distances[8];
-    uint32_t depth = 1;
-    if (tree->levels == 0)
-        return;
-    stack[0] = (struct entry){0, tree->levels - 1, 0};
-    while (depth > 0 && !trace->done) {
-        const struct entry top = stack[--depth];
-        if (top.distance > trace->range.farthest)
-            continue;
-        const struct exact_box8 *boxes = &tree->nodes[tree->first[top.level] + top.node];
-        unsigned bits = exact_line_crosses(&trace->line, boxes, trace->range.span,
-                                           trace->range.reach, &crossed);
-        memcpy(distances, &crossed, sizeof distances);
-        if (top.level > 0) {
-            depth = push_children(stack, depth, top.level, top.node, bits, distances);
-            continue;
-        }
-        for (; bits && !trace->done; bits &= bits - 1) {
-            const unsigned c = (unsigned)__builtin_ctz(bits);
-            if (distances[c] <= trace->range.farthest)
-                visit(trace, 8 * top.node + c);
-        }
-    }
-}
-
-static void walk_slot(struct trace *trace, const struct exact_slot *slot, uint64_t first)
-{
-    trace->slot = slot;
-    trace->first = first;
-    walk_walk_tree(trace, &slot->tree, try_run);
-}
-
-static void visit_slot(struct trace *trace, uint32_t number)
-{
-    const struct exact_slot *slot = &trace->group->slots[number];
-    walk_slot(trace, slot, trace->group->exact->chunks[slot->number].first_triangle);
+    exact_run_set(&trace->slot->chunk, run, &boxes);
+    try_boxes(trace, run, &boxes);
 }
 
 /* ---- bundles ----
@@ -315,12 +221,12 @@ static bool walk_add_runs(struct runs *runs, const struct fmt_tris_chunk *chunk,
 static void find_runs(const struct exact_slot *slot, const struct beam *beam, struct runs *runs)
 {
     const struct exact_tree *tree = &slot->tree;
-    struct entry stack[EXACT_TREE_STACK];
+    struct exact_entry stack[EXACT_TREE_STACK];
     uint32_t depth = 1;
     runs->count = 0;
-    stack[0] = (struct entry){0, tree->levels - 1, 0};
+    stack[0] = (struct exact_entry){0, tree->levels - 1, 0};
     while (depth > 0) {
-        const struct entry top = stack[--depth];
+        const struct exact_entry top = stack[--depth];
         const struct exact_box8 *boxes = &tree->nodes[tree->first[top.level] + top.node];
         unsigned bits = beam_crosses(beam, boxes);
         if (top.level == 0) {
@@ -330,8 +236,8 @@ static void find_runs(const struct exact_slot *slot, const struct beam *beam, st
             return;
         }
         for (; bits; bits &= bits - 1)
-            stack[depth++] =
-                (struct entry){0, top.level - 1, 8 * top.node + (uint32_t)__builtin_ctz(bits)};
+            stack[depth++] = (struct exact_entry){0, top.level - 1,
+                                                  8 * top.node + (uint32_t)__builtin_ctz(bits)};
     }
     for (uint32_t i = runs->count; i % 8 != 0; i++)
         for (int k = 0; k < 3; k++) {
@@ -352,8 +258,9 @@ static void try_runs(struct trace *trace, struct runs *runs)
 {
     for (uint32_t i = 0; i < runs->count; i += 8) {
         eights distances;
-        unsigned bits = exact_line_crosses(&trace->line, &runs->boxes[i / 8], trace->range.span,
-                                           trace->range.reach, &distances);
+        unsigned bits =
+            exact_line_crosses(&trace->walk.line, &runs->boxes[i / 8], trace->walk.range.span,
+                               trace->walk.range.reach, &distances);
         for (; bits; bits &= bits - 1)
             try_listed(trace, runs, i + (unsigned)__builtin_ctz(bits));
     }
@@ -371,7 +278,7 @@ unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uin
     runs.entered = 0;
     if (slot->tree.levels > 0 && set_beam(&beam, rays, count, limits->t_min, limits->t_max))
         find_runs(slot, &beam, &runs);
-    struct range fresh = {0}; /* of rays without a hit, and with this reach */
+    struct exact_range fresh = {0}; /* of rays without a hit, and with this reach */
     double reach = NAN;
     for (uint32_t i = 0; i < count && runs.count > 0; i++) {
         struct trace trace;
@@ -380,40 +287,27 @@ unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uin
         trace.limits = limits;
         trace.ray = &rays[i];
         trace.best = &best[i];
-        trace.sheared = trace.improved = trace.done = false;
-        if (!exact_line_set(&trace.line, rays[i].origin, rays[i].direction))
+        trace.shear = (struct exact_shear){0};
+        trace.sheared = trace.improved = trace.walk.done = false;
+        if (!exact_line_set(&trace.walk.line, rays[i].origin, rays[i].direction))
             continue;
+        trace.t_max =
+            limits->from_reach && best[i].reach < limits->t_max ? best[i].reach : limits->t_max;
         if (best[i].triangle != BAKE_NO_HIT) {
-            trace.range = range_of(&best[i], limits);
+            trace.walk.range = range_of(trace.t_max, &best[i], limits);
         } else {
             if (best[i].reach != reach)
-                fresh = range_of(&best[i], limits);
+                fresh = range_of(trace.t_max, &best[i], limits);
             reach = best[i].reach;
-            trace.range = fresh;
+            trace.walk.range = fresh;
         }
         if (runs.count <= MOST_RUNS)
             try_runs(&trace, &runs);
         else
-            walk_slot(&trace, slot, first);
+            exact_walk_tree(&trace.walk, &slot->tree, try_run, &trace);
         improved |= (unsigned)trace.improved << i;
     }
     return improved;
-}
-
-bool BSQ_SIMD_NAME(bake_exact_group_trace)(const struct exact_group *group,
-                                           const struct bake_ray *ray,
-                                           const struct exact_limits *limits,
-                                           struct exact_best *best)
-{
-    struct trace trace = {.limits = limits,
-                          .ray = ray,
-                          .range = range_of(best, limits),
-                          .best = best,
-                          .group = group};
-    if (!exact_line_set(&trace.line, ray->origin, ray->direction))
-        return false;
-    walk_walk_tree(&trace, &group->tree, visit_slot);
-    return trace.improved;
 }
 
 /* Returns a bit mask of eight boxes that any of the rays crosses. */

@@ -1,0 +1,160 @@
+/* test_exact_leaves.c - a ray through leaves finds the very hit that testing all triangles in
+ * double finds, at any scale. */
+#include <stdlib.h>
+
+#include "libbake/exact/exact_leaves.h"
+#include "libbake/exact/exact_line.h"
+#include "tests/unit/libbake/exact/exact_fixture.h"
+#include "tests/unit/test.h"
+
+enum { TRIANGLES = 1500, CHUNKS = 3, RAYS = 400 };
+
+struct scene {
+    double scale, offset;
+    float positions[CHUNKS][TRIANGLES + 3][3];
+    uint32_t triangles[CHUNKS][TRIANGLES][3];
+    struct fmt_tris_chunk chunks[CHUNKS];
+    struct exact_leaves leaves[CHUNKS];
+    struct exact_group group;
+    void *memory[CHUNKS], *tree_memory;
+};
+
+/* Strips of slim triangles, so that neighbours share edges, and needles are among them. */
+static void fill_scene(struct scene *scene)
+{
+    for (int c = 0; c < CHUNKS; c++) {
+        for (int v = 0; v < TRIANGLES + 2; v++)
+            for (int k = 0; k < 3; k++)
+                scene->positions[c][v][k] =
+                    v >= 2 && v % 3 > 0
+                        ? (float)((double)scene->positions[c][v - 2][k] +
+                                  scene->scale * (double)exact_between(-0.05, 0.05))
+                        : (float)(scene->scale * (scene->offset + (double)exact_between(-1, 1)));
+        for (uint32_t t = 0; t < TRIANGLES; t++)
+            for (uint32_t k = 0; k < 3; k++)
+                scene->triangles[c][t][k] = t + k;
+        /* A chunk's last leaf need not be full. */
+        scene->chunks[c] =
+            (struct fmt_tris_chunk){.triangle_count = (uint32_t)(TRIANGLES - 7 * c),
+                                    .vertex_count = TRIANGLES + 2,
+                                    .positions = (const float(*)[3])scene->positions[c],
+                                    .triangles = (const uint32_t(*)[3])scene->triangles[c]};
+    }
+}
+
+static void build_scene(struct scene *scene, bool sorted)
+{
+    struct exact_box boxes[CHUNKS];
+    void *scratch = aligned_alloc(BSQ_ALIGNMENT, bake_exact_leaves_scratch_bytes(TRIANGLES));
+    for (int c = 0; c < CHUNKS; c++) {
+        scene->memory[c] = aligned_alloc(BSQ_ALIGNMENT, bake_exact_leaves_bytes(TRIANGLES));
+        bake_exact_leaves_build(&scene->chunks[c], sorted, true, scene->memory[c], scratch,
+                                &scene->leaves[c]);
+        boxes[c] = EXACT_EMPTY_BOX;
+        for (int v = 0; v < TRIANGLES + 2; v++)
+            exact_box_grow(&boxes[c], scene->positions[c][v], scene->positions[c][v]);
+    }
+    free(scratch);
+    scene->tree_memory = aligned_alloc(BSQ_ALIGNMENT, bake_exact_tree_bytes(CHUNKS));
+    bake_exact_tree_build(&scene->group.tree, CHUNKS, boxes, scene->tree_memory);
+    scene->group.chunks = scene->leaves;
+}
+
+static void free_scene(struct scene *scene)
+{
+    for (int c = 0; c < CHUNKS; c++)
+        free(scene->memory[c]);
+    free(scene->tree_memory);
+}
+
+/* Returns a ray from a point near the scan to a corner, a point of an edge, or any other place. */
+static struct bake_ray random_ray(const struct scene *scene)
+{
+    const uint32_t chunk = (uint32_t)(exact_uniform() * CHUNKS),
+                   vertex = (uint32_t)(exact_uniform() * TRIANGLES);
+    const float *a = scene->positions[chunk][vertex], *b = scene->positions[chunk][vertex + 1];
+    const double share = exact_uniform() < 0.5 ? 0 : exact_uniform();
+    struct bake_ray ray;
+    double length = 0, direction[3];
+    for (int k = 0; k < 3; k++) {
+        const double to = (double)a[k] + share * ((double)b[k] - (double)a[k]);
+        ray.origin[k] = (float)(scene->scale * (scene->offset + (double)exact_between(-1.5, 1.5)));
+        /* Some are parallel to an axis. */
+        if (vertex % 5 == 0 && k != (int)(vertex % 3))
+            ray.origin[k] = (float)to;
+        direction[k] = to - (double)ray.origin[k];
+        length += direction[k] * direction[k] / (scene->scale * scene->scale);
+    }
+    length = sqrt(length) * scene->scale;
+    for (int k = 0; k < 3; k++)
+        ray.direction[k] = length > 0 ? (float)(direction[k] / length) : 0.0f;
+    return ray;
+}
+
+static bool trace_all(const struct scene *scene, const struct bake_ray *ray,
+                      const struct exact_look_limits *limits, double *t)
+{
+    struct exact_line line;
+    struct exact_shear shear;
+    bool found = false;
+    *t = limits->t_max;
+    if (!exact_line_set(&line, ray->origin, ray->direction))
+        return false;
+    exact_shear_set(&shear, ray->origin, ray->direction);
+    for (int c = 0; c < CHUNKS; c++)
+        for (uint32_t i = 0; i < scene->chunks[c].triangle_count; i++) {
+            const float(*p)[3] = &scene->chunks[c].positions[i];
+            struct exact_crossing crossing;
+            if (!exact_cross_triangle(&shear, p[0], p[1], p[2], &crossing) ||
+                !(crossing.t >= 0 && crossing.t <= *t) ||
+                (!limits->two_sided && crossing.along == limits->facing_origin))
+                continue;
+            *t = crossing.t;
+            found = true;
+        }
+    return found;
+}
+
+static void check_ray(const struct scene *scene, const struct bake_ray *ray,
+                      struct exact_look_limits limits, uint32_t *hits)
+{
+    double expected, t;
+    for (enum bsq_simd level = BSQ_SIMD_BASE; level <= bsq_simd_best(); level++) {
+        limits.any = false;
+        const bool hit = trace_all(scene, ray, &limits, &expected);
+        *hits += hit;
+        assert_int_equal(
+            BSQ_SIMD_PICK(level, bake_exact_group_trace)(&scene->group, ray, &limits, &t), hit);
+        assert_true(!hit || t == expected);
+        limits.any = true;
+        assert_int_equal(
+            BSQ_SIMD_PICK(level, bake_exact_group_trace)(&scene->group, ray, &limits, &t), hit);
+    }
+}
+
+TEST(leaves_hide_no_hit)
+{
+    static const double scales[][2] = {{1, 0},     {1, 1000},  {1e-3, 1e5}, {1e-25, 0},
+                                       {1e-25, 3}, {1e-38, 0}, {1e25, 0},   {1e25, 3}};
+    static struct scene scene;
+    exact_seed = test_seed();
+    uint32_t hits = 0;
+    for (uint32_t i = 0; i < 2 * sizeof scales / sizeof *scales; i++) {
+        scene.scale = scales[i / 2][0];
+        scene.offset = scales[i / 2][1];
+        fill_scene(&scene);
+        build_scene(&scene, i % 2 > 0);
+        for (int r = 0; r < RAYS; r++) {
+            const struct bake_ray ray = random_ray(&scene);
+            check_ray(&scene, &ray,
+                      (struct exact_look_limits){.t_max = r % 7 == 0 ? scene.scale : INFINITY,
+                                                 .two_sided = r % 2 > 0,
+                                                 .facing_origin = r % 4 < 2},
+                      &hits);
+        }
+        free_scene(&scene);
+    }
+    assert_true(hits > 2 * RAYS);
+}
+
+RUN_TESTS(NULL, NULL)
