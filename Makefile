@@ -168,7 +168,7 @@ no_undefined := $(if $(filter fuzz,$(config)),,-Wl,-z,defs)
 # Exports the functions that the public headers declare, and nothing else.
 $(BUILD)/gen/libbisque.map: $(public_headers)
 	@mkdir -p $(@D)
-	{ echo 'BISQUE_0 {'; echo 'global:'; cat $^ | $(CC) -E -P -fpreprocessed - | sed '/^#/d' | \
+	{ echo 'BISQUE_0 {'; echo 'global:'; cat $^ | $(CC) -w -E -P -fpreprocessed - | sed '/^#/d' | \
 	    grep -oE '\b(bsq|fmt|vox|bake)_[a-z_0-9]+\(' | sort -u | tr '(' ';'; echo 'local: *;'; \
 	    echo '};'; } > $@
 all_objects := $(foreach l,$(libs),$(call objs,$(l)))

@@ -234,8 +234,24 @@ int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t siz
     bsq_grow(ctx, what, count, size, BSQ_ADDRESS_OF_POINTER(inout), capacity)
 /** @endcond */
 
+/** @name Arrays
+ * As the functions, for `count` elements of the type that *out or *inout points to.
+ * @{ */
+#define BSQ_ALLOC(ctx, what, count, out)  bsq_alloc(ctx, what, count, sizeof **(out), out)
+#define BSQ_CALLOC(ctx, what, count, out) bsq_calloc(ctx, what, count, sizeof **(out), out)
+#define BSQ_GROW(ctx, what, count, inout, capacity)                                                \
+    bsq_grow(ctx, what, count, sizeof **(inout), inout, capacity)
+/** @} */
+
 /** Frees memory of bsq_alloc(), bsq_calloc() or bsq_grow(); NULL is allowed. */
 void bsq_free(struct bsq_ctx *ctx, void *memory);
+
+/** Frees `count` blocks as bsq_free() does. */
+void bsq_free_all(struct bsq_ctx *ctx, void *const *blocks, size_t count);
+/** Frees all blocks that follow `ctx`. */
+#define BSQ_FREE(ctx, ...)                                                                         \
+    bsq_free_all(ctx, (void *const[]){__VA_ARGS__},                                                \
+                 sizeof((void *const[]){__VA_ARGS__}) / sizeof(void *))
 
 /** Counts `bytes` that other code allocates, such as a library's cache, against the budget.
  * Errors: BSQ_ENOMEM. */

@@ -326,6 +326,12 @@ void bsq_free(struct bsq_ctx *ctx, void *memory)
     bsq_release(ctx, cost);
 }
 
+void bsq_free_all(struct bsq_ctx *ctx, void *const *blocks, size_t count)
+{
+    for (size_t i = 0; i < count; i++)
+        bsq_free(ctx, blocks[i]);
+}
+
 static void *resize_small(void *payload, uint64_t bytes)
 {
     struct header old = {0};

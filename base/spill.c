@@ -25,7 +25,7 @@ int bsq_spill_init(struct bsq_spill *spill, struct bsq_ctx *ctx, const char *wha
                                 .file = BSQ_FILE_CLOSED};
     if (spill->slab_pages == 0 || stream_count == 1)
         spill->slab_pages = 1;
-    int status = bsq_calloc(ctx, what, stream_count, sizeof *spill->list, &spill->list);
+    int status = BSQ_CALLOC(ctx, what, stream_count, &spill->list);
     for (uint32_t i = 0; status == 0 && i < stream_count; i++)
         spill->list[i].first_page = spill->list[i].last_page = BSQ_SPILL_NONE;
     return status;
@@ -43,9 +43,7 @@ void bsq_spill_free(struct bsq_spill *spill)
     if (!spill->ctx)
         return;
     free_slabs(spill);
-    bsq_free(spill->ctx, spill->slabs);
-    bsq_free(spill->ctx, spill->pages);
-    bsq_free(spill->ctx, spill->list);
+    BSQ_FREE(spill->ctx, spill->slabs, spill->pages, spill->list);
     bsq_file_close(spill->ctx, &spill->file);
     memset(spill, 0, sizeof *spill);
 }
@@ -63,8 +61,8 @@ static int take_page(struct bsq_spill *spill, struct bsq_spill_stream *stream)
 {
     int status = 0;
     if (spill->pages_taken == spill->slab_count * spill->slab_pages) {
-        BSQ_TRY(bsq_grow(spill->ctx, spill->what, spill->slab_count + 1, sizeof *spill->slabs,
-                         &spill->slabs, &spill->slab_capacity));
+        BSQ_TRY(BSQ_GROW(spill->ctx, spill->what, spill->slab_count + 1, &spill->slabs,
+                         &spill->slab_capacity));
         BSQ_TRY(bsq_alloc(spill->ctx, spill->what, spill->slab_pages, spill->page_bytes,
                           &spill->slabs[spill->slab_count]));
         spill->slab_count++;
@@ -83,8 +81,8 @@ static int list_page(struct bsq_spill *spill, struct bsq_spill_stream *stream, u
         return bsq_fail(spill->ctx, BSQ_ENOMEM,
                         "%s: too many pages of %u bytes; more memory is needed", spill->what,
                         spill->page_bytes);
-    int status = bsq_grow(spill->ctx, spill->what, spill->page_count + 1, sizeof *spill->pages,
-                          &spill->pages, &spill->page_capacity);
+    int status = BSQ_GROW(spill->ctx, spill->what, spill->page_count + 1, &spill->pages,
+                          &spill->page_capacity);
     if (status < 0)
         return status;
     uint32_t number = (uint32_t)spill->page_count++;

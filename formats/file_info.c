@@ -87,7 +87,7 @@ static int count_faces(struct survey *s, uint32_t material, uint64_t faces)
         return 0;
     }
     const uint64_t count = (uint64_t)material + 1;
-    int status = bsq_grow(s->ctx, "materials", count, sizeof *s->faces, &s->faces, &s->capacity);
+    int status = BSQ_GROW(s->ctx, "materials", count, &s->faces, &s->capacity);
     for (; status == 0 && s->material_count < count; s->material_count++)
         s->faces[s->material_count] = 0;
     if (status == 0)

@@ -138,7 +138,7 @@ static int copy_placements(struct bsq_ctx *ctx, const struct vox_sort_options *o
 {
     if (!options->placements)
         return 0;
-    int status = bsq_alloc(ctx, "inputs", options->scan_count, sizeof **out, out);
+    int status = BSQ_ALLOC(ctx, "inputs", options->scan_count, out);
     for (uint32_t i = 0; i < options->scan_count && status == 0; i++) {
         const struct vox_placement *from = &options->placements[i];
         (*out)[i].scale = from->scale;
@@ -272,8 +272,7 @@ static int write_chunks(const struct scan *scan, const struct partition *partiti
     struct fmt_tris_writer *writer = NULL;
     struct batches_report batches = {0};
     int status;
-    BSQ_TRY(bsq_calloc(scan->ctx, "channels", scan->channel_count + UINT64_C(1),
-                       sizeof *header.channels, &header.channels));
+    BSQ_TRY(BSQ_CALLOC(scan->ctx, "channels", scan->channel_count + UINT64_C(1), &header.channels));
     for (uint32_t c = 0; c < scan->channel_count; c++)
         header.channels[c] = (char *)(uintptr_t)scan->channels[c].name;
     BSQ_TRY(names_tris(options)

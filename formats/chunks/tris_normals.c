@@ -21,7 +21,7 @@ struct fmt_tris_normals_writer {
 static int reserve_places(struct fmt_tris_normals_writer *w)
 {
     const uint64_t count = w->file->header.chunk_count;
-    int status = bsq_alloc(w->ctx, "chunk table", count + 1, sizeof *w->infos, &w->infos);
+    int status = BSQ_ALLOC(w->ctx, "chunk table", count + 1, &w->infos);
     for (uint64_t i = 0; i < count && status == 0; i++) {
         struct fmt_tris_chunk_info *info = &w->infos[i];
         *info = w->file->chunks[i];
@@ -39,7 +39,7 @@ int fmt_tris_normals_begin(struct fmt_tris_writer *writer, struct fmt_tris_norma
     int status;
     *out = NULL;
     BSQ_TRY(fmt_tris_open_written(writer, &file));
-    BSQ_TRY(bsq_calloc(file->ctx, "normals", 1, sizeof *w, &w));
+    BSQ_TRY(BSQ_CALLOC(file->ctx, "normals", 1, &w));
     *w = (struct fmt_tris_normals_writer){.ctx = file->ctx,
                                           .writer = writer,
                                           .output = fmt_tris_writer_output(writer),
@@ -62,7 +62,7 @@ int fmt_tris_normals_begin_temp(struct fmt_tris_file *file, const char *beside,
     struct fmt_tris_normals_writer *w = NULL;
     int status;
     *out = NULL;
-    BSQ_TRY(bsq_calloc(file->ctx, "normals", 1, sizeof *w, &w));
+    BSQ_TRY(BSQ_CALLOC(file->ctx, "normals", 1, &w));
     *w = (struct fmt_tris_normals_writer){
         .ctx = file->ctx, .file = file, .normals = BSQ_FILE_CLOSED};
     BSQ_TRY(bsq_output_open_temp(file->ctx, beside, "normals", &w->own));
@@ -150,8 +150,7 @@ void fmt_tris_normals_free(struct fmt_tris_normals_writer *w)
         fmt_tris_close(w->file);
     bsq_file_close(w->ctx, &w->normals);
     bsq_output_discard(w->own);
-    bsq_free(w->ctx, w->infos);
-    bsq_free(w->ctx, w);
+    BSQ_FREE(w->ctx, w->infos, w);
 }
 
 /* ---- reading ---- */

@@ -175,8 +175,8 @@ static int name_image(struct fmt_tris_file *file, const char *range, char **out)
     struct fmt_extent extent;
     char *name = NULL;
     int status;
-    BSQ_TRY(bsq_grow(file->ctx, "images", file->image_count + 1, sizeof *file->images,
-                     &file->images, &file->image_capacity));
+    BSQ_TRY(
+        BSQ_GROW(file->ctx, "images", file->image_count + 1, &file->images, &file->image_capacity));
     BSQ_TRY(bsq_alloc(file->ctx, "images", size, 1, &name));
     snprintf(name, size, "%s%s", file->file.path, range);
     file->images[file->image_count++] = *out = name;
@@ -280,8 +280,7 @@ done:
 static int parse_channels(struct fmt_tris_file *file, uint32_t count, struct cursor *cursor)
 {
     struct fmt_tris_header *header = &file->header;
-    int status = bsq_calloc(file->ctx, "channels", count + UINT64_C(1), sizeof *header->channels,
-                            &header->channels);
+    int status = BSQ_CALLOC(file->ctx, "channels", count + UINT64_C(1), &header->channels);
     for (char *name; header->channel_count < count && status == 0;) {
         if (!take_name(cursor, &name) || !fmt_is_channel_name(name) ||
             fmt_tris_find_channel(header, name) != UINT32_MAX)
@@ -297,10 +296,8 @@ static int parse_materials(struct fmt_tris_file *file, const struct tris_file_he
     struct cursor cursor = {.from = file->tail, .bytes = bytes};
     int status;
     /* The header's check has shown that nothing here has many times the bytes of the part. */
-    BSQ_TRY(bsq_calloc(file->ctx, "materials", count + 1, sizeof *file->header.materials,
-                       &file->header.materials));
-    BSQ_TRY(bsq_calloc(file->ctx, "channels", count * h->channel_count + 1, sizeof *file->sources,
-                       &file->sources));
+    BSQ_TRY(BSQ_CALLOC(file->ctx, "materials", count + 1, &file->header.materials));
+    BSQ_TRY(BSQ_CALLOC(file->ctx, "channels", count * h->channel_count + 1, &file->sources));
     /* Each path and name loses the length before it and gains a terminator, so all fit `bytes`. */
     BSQ_TRY(bsq_alloc(file->ctx, "materials", bytes + 1, 1, &file->paths));
     cursor.text = file->paths;
@@ -367,8 +364,7 @@ static int check_normals_places(struct fmt_tris_file *file, const struct tris_fi
 
 static int parse_table(struct fmt_tris_file *file, const struct tris_file_header *h)
 {
-    int status = bsq_alloc(file->ctx, "chunk table", h->chunk_count + 1, sizeof *file->chunks,
-                           &file->chunks);
+    int status = BSQ_ALLOC(file->ctx, "chunk table", h->chunk_count + 1, &file->chunks);
     if (status < 0)
         return status;
     memcpy(file->chunks, file->tail + (h->table_offset - h->materials_offset),
@@ -434,7 +430,7 @@ done:
 static int tris_open_file(struct bsq_ctx *ctx, struct bsq_file *input, struct fmt_tris_file **out)
 {
     struct fmt_tris_file *file;
-    int status = bsq_calloc(ctx, "chunk file", 1, sizeof *file, &file);
+    int status = BSQ_CALLOC(ctx, "chunk file", 1, &file);
     if (status < 0) {
         bsq_file_close(ctx, input);
         return status;
@@ -476,15 +472,11 @@ void fmt_tris_close(struct fmt_tris_file *file)
     fmt_tris_close_parts(file);
     bsq_file_close(ctx, &file->file);
     bsq_file_close(ctx, &file->normals);
-    bsq_free(ctx, file->header.materials);
-    bsq_free(ctx, file->header.channels);
-    bsq_free(ctx, file->sources);
-    bsq_free(ctx, file->chunks);
-    bsq_free(ctx, file->paths);
+    BSQ_FREE(ctx, file->header.materials, file->header.channels, file->sources, file->chunks,
+             file->paths);
     for (uint64_t i = 0; i < file->image_count; i++)
         bsq_free(ctx, file->images[i]);
-    bsq_free(ctx, file->images);
-    bsq_free(ctx, file);
+    BSQ_FREE(ctx, file->images, file);
 }
 
 const char *fmt_tris_normals_text(enum bsq_scan_normals weights)

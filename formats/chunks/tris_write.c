@@ -146,12 +146,10 @@ void fmt_tris_discard(struct fmt_tris_writer *writer)
     if (!writer)
         return;
     bsq_output_discard(writer->output);
-    bsq_free(writer->ctx, writer->materials);
-    bsq_free(writer->ctx, writer->table);
+    BSQ_FREE(writer->ctx, writer->materials, writer->table);
     for (uint64_t i = 0; i < writer->image_count; i++)
         bsq_free(writer->ctx, writer->images[i].name);
-    bsq_free(writer->ctx, writer->images);
-    bsq_free(writer->ctx, writer);
+    BSQ_FREE(writer->ctx, writer->images, writer);
 }
 
 /* ---- images ---- */
@@ -182,8 +180,8 @@ static int embed(struct fmt_tris_writer *writer, const char *path, XXH3_state_t 
     int status = 0;
     if (!path || fmt_has_tiles(path) || tris_find_image(writer, path))
         return 0;
-    BSQ_TRY(bsq_grow(writer->ctx, "images", writer->image_count + 1, sizeof *writer->images,
-                     &writer->images, &writer->image_capacity));
+    BSQ_TRY(BSQ_GROW(writer->ctx, "images", writer->image_count + 1, &writer->images,
+                     &writer->image_capacity));
     BSQ_TRY(fmt_extent_open(writer->ctx, path, &from, &file));
     to.size = from.size;
     for (uint64_t at = 0, size; at < from.size; at += size) {
@@ -316,7 +314,7 @@ static int tris_create(struct bsq_ctx *ctx, const char *path, const char *beside
     struct fmt_tris_writer *writer = NULL;
     int status;
     *out = NULL;
-    BSQ_TRY(bsq_calloc(ctx, "chunk file", 1, sizeof *writer, &writer));
+    BSQ_TRY(BSQ_CALLOC(ctx, "chunk file", 1, &writer));
     writer->ctx = ctx;
     writer->temporary = !path;
     struct tris_file_header *h = &writer->header;
@@ -367,8 +365,8 @@ int fmt_tris_append(struct fmt_tris_writer *writer, const void *encoded, uint64_
                     const struct fmt_tris_chunk_info *info)
 {
     struct tris_file_header *h = &writer->header;
-    int status = bsq_grow(writer->ctx, "chunk table", h->chunk_count + 1, sizeof *writer->table,
-                          &writer->table, &writer->table_capacity);
+    int status = BSQ_GROW(writer->ctx, "chunk table", h->chunk_count + 1, &writer->table,
+                          &writer->table_capacity);
     if (status < 0)
         return status;
     struct fmt_tris_chunk_info *entry = &writer->table[h->chunk_count];
@@ -395,7 +393,7 @@ int fmt_tris_open_written(const struct fmt_tris_writer *writer, struct fmt_tris_
 {
     const struct tris_file_header *h = &writer->header;
     struct fmt_tris_file *file;
-    int status = bsq_calloc(writer->ctx, "chunk file", 1, sizeof *file, &file);
+    int status = BSQ_CALLOC(writer->ctx, "chunk file", 1, &file);
     *out = NULL;
     if (status < 0)
         return status;
@@ -405,8 +403,7 @@ int fmt_tris_open_written(const struct fmt_tris_writer *writer, struct fmt_tris_
     file->header.chunk_count = h->chunk_count;
     file->header.triangle_count = h->triangle_count;
     file->header.material_count = h->material_count;
-    BSQ_TRY(bsq_alloc(file->ctx, "chunk table", h->chunk_count + 1, sizeof *file->chunks,
-                      &file->chunks));
+    BSQ_TRY(BSQ_ALLOC(file->ctx, "chunk table", h->chunk_count + 1, &file->chunks));
     for (uint64_t i = 0; i < h->chunk_count; i++) {
         file->chunks[i] = writer->table[i];
         const uint64_t bytes = tris_load_size(h->attributes, &file->chunks[i]);

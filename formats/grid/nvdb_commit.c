@@ -240,8 +240,7 @@ static int nvdb_write_file(struct fmt_nvdb_writer *writer)
     BSQ_TRY(bsq_parallel_for(writer->ctx, NVDB_TRAILER, write_section, &commit));
     status = write_section(&commit, NVDB_TRAILER, 0);
 done:
-    bsq_free(writer->ctx, commit.parts);
-    bsq_free(writer->ctx, commit.head);
+    BSQ_FREE(writer->ctx, commit.parts, commit.head);
     return status;
 }
 

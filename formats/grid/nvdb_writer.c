@@ -119,7 +119,7 @@ int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb
     int status;
     *out = NULL;
     BSQ_TRY(check_info(ctx, path, info));
-    BSQ_TRY(bsq_calloc(ctx, "grid writer", 1, sizeof *writer, &writer));
+    BSQ_TRY(BSQ_CALLOC(ctx, "grid writer", 1, &writer));
     writer->ctx = ctx;
     writer->info = *info;
     writer->counts.type = info->type;
@@ -179,10 +179,7 @@ void fmt_nvdb_discard(struct fmt_nvdb_writer *writer)
     for (int i = 0; i < 2 * NVDB_TRAILER; i++)
         XXH3_freeState(writer->stream[i / 2][i % 2].written);
     bsq_spill_free(&writer->spill);
-    bsq_free(ctx, writer->keys);
-    bsq_free(ctx, writer->names);
-    bsq_free(ctx, writer->path);
-    bsq_free(ctx, writer);
+    BSQ_FREE(ctx, writer->keys, writer->names, writer->path, writer);
 }
 
 /* ---- regions ---- */
@@ -283,8 +280,8 @@ static int open_upper(struct fmt_nvdb_writer *writer, const int32_t origin[3])
     if (count > 0 && writer->keys[count - 1] == key)
         return 0;
     BSQ_TRY(close_upper(writer));
-    BSQ_TRY(bsq_grow(writer->ctx, "grid root tiles", (uint64_t)count + 1, sizeof *writer->keys,
-                     &writer->keys, &writer->keys_capacity));
+    BSQ_TRY(BSQ_GROW(writer->ctx, "grid root tiles", (uint64_t)count + 1, &writer->keys,
+                     &writer->keys_capacity));
     writer->keys[count] = key;
     writer->counts.uppers = count + 1;
     memset(&writer->upper, 0, sizeof writer->upper);

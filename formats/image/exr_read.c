@@ -177,7 +177,7 @@ static int exr_in_read_channels(struct reader *reader)
     uint32_t count = (uint32_t)list->num_channels;
     if ((uint64_t)count * image->width > INT32_MAX / sizeof(float))
         return refuse(reader, "a row of the image is longer than 2 GiB");
-    BSQ_TRY(bsq_calloc(ctx, "EXR channel names", count, sizeof *image->channels, &image->channels));
+    BSQ_TRY(BSQ_CALLOC(ctx, "EXR channel names", count, &image->channels));
     image->channel_count = count;
     for (uint32_t c = 0; c < count; ++c) {
         const exr_attr_chlist_entry_t *entry = &list->entries[c];
@@ -198,8 +198,7 @@ static int exr_in_read_attributes(struct reader *reader)
     int status = fmt_exr_status(&reader->stream, exr_get_attribute_count(reader->file, 0, &count));
     if (status < 0 || count < 1)
         return status;
-    status = bsq_calloc(ctx, "EXR attributes", (uint32_t)count, sizeof *image->attributes,
-                        &image->attributes);
+    status = BSQ_CALLOC(ctx, "EXR attributes", (uint32_t)count, &image->attributes);
     for (int32_t i = 0; status == 0 && i < count; ++i) {
         const exr_attribute_t *attribute;
         BSQ_TRY(fmt_exr_status(
@@ -343,8 +342,8 @@ static int exr_in_allocate(struct reader *reader, uint32_t across, uint32_t line
     uint64_t bytes = workers * (3 * chunk_bytes + chunk_bytes / 50 + 4096);
     BSQ_TRY(bsq_reserve(ctx, "EXR decoding", bytes));
     reader->reserved_bytes = bytes;
-    BSQ_TRY(bsq_calloc(ctx, "EXR decoders", workers, sizeof *reader->decoders, &reader->decoders));
-    BSQ_TRY(bsq_calloc(ctx, "EXR decoders", workers, sizeof *reader->ready, &reader->ready));
+    BSQ_TRY(BSQ_CALLOC(ctx, "EXR decoders", workers, &reader->decoders));
+    BSQ_TRY(BSQ_CALLOC(ctx, "EXR decoders", workers, &reader->ready));
     reader->across = across;
     status = bsq_alloc(ctx, "EXR image", (uint64_t)across * lines, reader->kept * sizeof(float),
                        &reader->samples);
@@ -376,8 +375,8 @@ done:
 
 static int allocate_places(struct reader *reader)
 {
-    return bsq_alloc(reader->stream.ctx, "EXR channels", reader->image->channel_count,
-                     sizeof *reader->places, &reader->places);
+    return BSQ_ALLOC(reader->stream.ctx, "EXR channels", reader->image->channel_count,
+                     &reader->places);
 }
 
 static void close_reader(struct reader *reader)
@@ -388,10 +387,7 @@ static void close_reader(struct reader *reader)
             exr_decoding_destroy(reader->file, &reader->decoders[w]);
     if (reader->file)
         exr_finish(&reader->file);
-    bsq_free(ctx, reader->decoders);
-    bsq_free(ctx, reader->ready);
-    bsq_free(ctx, reader->places);
-    bsq_free(ctx, reader->samples);
+    BSQ_FREE(ctx, reader->decoders, reader->ready, reader->places, reader->samples);
     bsq_release(ctx, reader->reserved_bytes);
 }
 
@@ -502,7 +498,7 @@ static int open_rows(struct bsq_ctx *ctx, const char *path, const struct bsq_fil
                      bool colors, struct fmt_exr_rows **out)
 {
     struct fmt_exr_rows *rows;
-    int status = bsq_calloc(ctx, "an EXR decoder", 1, sizeof *rows, &rows);
+    int status = BSQ_CALLOC(ctx, "an EXR decoder", 1, &rows);
     *out = status < 0 ? NULL : rows;
     if (status < 0)
         return status;
@@ -629,11 +625,9 @@ void fmt_exr_image_free(struct bsq_ctx *ctx, struct fmt_exr_image *image)
         bsq_free(ctx, image->channels[c]);
     bsq_free(ctx, image->channels);
     for (uint32_t a = 0; image->attributes && a < image->attribute_count; ++a) {
-        bsq_free(ctx, image->attributes[a].name);
-        bsq_free(ctx, image->attributes[a].value);
+        BSQ_FREE(ctx, image->attributes[a].name, image->attributes[a].value);
     }
-    bsq_free(ctx, image->attributes);
-    bsq_free(ctx, image->samples);
+    BSQ_FREE(ctx, image->attributes, image->samples);
     memset(image, 0, sizeof *image);
 }
 

@@ -211,9 +211,7 @@ static void exr_out_free_encoder(struct fmt_image_writer *base, void *memory)
 {
     struct encoder *encoder = memory;
     libdeflate_free_compressor(encoder->compressor);
-    bsq_free(base->ctx, encoder->chunk);
-    bsq_free(base->ctx, encoder->ordered);
-    bsq_free(base->ctx, encoder->deflated);
+    BSQ_FREE(base->ctx, encoder->chunk, encoder->ordered, encoder->deflated);
     bsq_release(base->ctx, encoder->reserved_bytes);
 }
 
@@ -281,8 +279,7 @@ static int exr_out_name_channels(struct exr_writer *writer, const struct fmt_ima
     const char *const *names = options->channels ? options->channels
                                : count == 1      ? &grey_name
                                                  : color_names;
-    int status = bsq_alloc(writer->base.ctx, "EXR channels", count, sizeof *writer->channels,
-                           &writer->channels);
+    int status = BSQ_ALLOC(writer->base.ctx, "EXR channels", count, &writer->channels);
     for (uint32_t c = 0; status == 0 && c < count; ++c)
         writer->channels[c] = (struct channel){names[c], c};
     if (status == 0)

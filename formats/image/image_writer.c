@@ -280,8 +280,7 @@ static void free_coding(struct fmt_image_writer *writer)
     free_encoders(writer);
     if (writer->format->free)
         writer->format->free(writer);
-    bsq_free(writer->ctx, writer->pending);
-    bsq_free(writer->ctx, writer->above);
+    BSQ_FREE(writer->ctx, writer->pending, writer->above);
 }
 
 int fmt_image_finish(struct fmt_image_writer *writer)
@@ -304,8 +303,7 @@ int fmt_image_finish(struct fmt_image_writer *writer)
 static void free_writer(struct fmt_image_writer *writer)
 {
     struct bsq_ctx *ctx = writer->ctx;
-    bsq_free(ctx, writer->path);
-    bsq_free(ctx, writer);
+    BSQ_FREE(ctx, writer->path, writer);
 }
 
 int fmt_image_hand_over(struct fmt_image_writer *writer, struct bsq_output **out)

@@ -168,10 +168,7 @@ static void png_out_free_encoder(struct fmt_image_writer *base, void *memory)
         deflateEnd(&encoder->deflate);
         bsq_release(ctx, DEFLATE_BYTES);
     }
-    bsq_free(ctx, encoder->packed);
-    bsq_free(ctx, encoder->filtered);
-    bsq_free(ctx, encoder->rows[0]);
-    bsq_free(ctx, encoder->rows[1]);
+    BSQ_FREE(ctx, encoder->packed, encoder->filtered, encoder->rows[0], encoder->rows[1]);
 }
 
 static int deflate_band(struct bsq_ctx *ctx, struct encoder *encoder, bool last)

@@ -231,7 +231,7 @@ static int input_create(struct bsq_ctx *ctx, const char *path, const char *besid
 {
     struct fmt_input *input;
     *out = NULL;
-    int status = bsq_calloc(ctx, "inputs", 1, sizeof *input, &input);
+    int status = BSQ_CALLOC(ctx, "inputs", 1, &input);
     if (status < 0)
         return status;
     input->ctx = ctx;
@@ -301,9 +301,7 @@ void fmt_input_free(struct fmt_input *input)
     end_all(input);
     pthread_rwlock_destroy(&input->stored_lock);
     pthread_mutex_destroy(&input->lock);
-    bsq_free(input->ctx, input->path);
-    bsq_free(input->ctx, input->beside);
-    bsq_free(input->ctx, input);
+    BSQ_FREE(input->ctx, input->path, input->beside, input);
 }
 
 const char *fmt_input_path(const struct fmt_input *input)

@@ -216,7 +216,7 @@ static int unpack_start(struct unpacker *u)
     u->packing = packing_of(u->in, u->in_end);
     u->started = true;
     if (u->packing == PACKING_GZIP)
-        BSQ_TRY(bsq_calloc(u->ctx, "unpacking", 1, sizeof *u->gzip, &u->gzip));
+        BSQ_TRY(BSQ_CALLOC(u->ctx, "unpacking", 1, &u->gzip));
     if (u->packing != PACKING_ZSTD)
         return 0;
     BSQ_TRY(reserve_zstd(u, DECODER_BYTES));
@@ -293,7 +293,7 @@ int fmt_unpack_create(struct bsq_ctx *ctx, unpack_source *source, void *arg, uin
 {
     struct unpacker *u;
     *out = NULL;
-    int status = bsq_calloc(ctx, "unpacking", 1, sizeof *u, &u);
+    int status = BSQ_CALLOC(ctx, "unpacking", 1, &u);
     if (status < 0)
         return status;
     *u = (struct unpacker){.ctx = ctx, .source = source, .arg = arg, .step = step_bytes};
@@ -312,10 +312,7 @@ void fmt_unpack_free(struct unpacker *u)
         return;
     ZSTD_freeDStream(u->zstd);
     bsq_release(u->ctx, u->zstd_bytes);
-    bsq_free(u->ctx, u->gzip);
-    bsq_free(u->ctx, u->out);
-    bsq_free(u->ctx, u->in);
-    bsq_free(u->ctx, u);
+    BSQ_FREE(u->ctx, u->gzip, u->out, u->in, u);
 }
 
 const char *fmt_unpack_error(const struct unpacker *u)

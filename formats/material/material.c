@@ -19,8 +19,8 @@ int fmt_materials_add(struct bsq_ctx *ctx, struct fmt_materials *list, struct fm
 {
     if (list->count == UINT32_MAX - 1)
         return bsq_fail(ctx, BSQ_EDATA, "too many materials");
-    int status = bsq_grow(ctx, "materials", list->count + UINT64_C(1), sizeof *list->list,
-                          &list->list, &list->capacity);
+    int status =
+        BSQ_GROW(ctx, "materials", list->count + UINT64_C(1), &list->list, &list->capacity);
     if (status)
         return status;
     *out = &list->list[list->count++];
@@ -30,8 +30,7 @@ int fmt_materials_add(struct bsq_ctx *ctx, struct fmt_materials *list, struct fm
 
 static void free_channel(struct bsq_ctx *ctx, struct fmt_material_channel *channel)
 {
-    bsq_free(ctx, channel->texture_path);
-    bsq_free(ctx, channel->texture_place);
+    BSQ_FREE(ctx, channel->texture_path, channel->texture_place);
 }
 
 void fmt_material_free(struct bsq_ctx *ctx, struct fmt_material *material)
@@ -39,9 +38,7 @@ void fmt_material_free(struct bsq_ctx *ctx, struct fmt_material *material)
     for (uint32_t i = 0; i < material->channel_count; i++)
         free_channel(ctx, &material->channels[i]);
     free_channel(ctx, &material->color);
-    bsq_free(ctx, material->channels);
-    bsq_free(ctx, material->name);
-    bsq_free(ctx, material->object);
+    BSQ_FREE(ctx, material->channels, material->name, material->object);
 }
 
 void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials)
@@ -67,8 +64,8 @@ int fmt_material_enter_channel(struct bsq_ctx *ctx, struct fmt_material *materia
     uint64_t capacity = material->channel_count; /* materials have few channels */
     if ((*out = fmt_material_find_channel(material, channel->name)) != NULL)
         return 0;
-    int status = bsq_grow(ctx, "materials", material->channel_count + UINT64_C(1),
-                          sizeof *material->channels, &material->channels, &capacity);
+    int status = BSQ_GROW(ctx, "materials", material->channel_count + UINT64_C(1),
+                          &material->channels, &capacity);
     if (status)
         return status;
     *out = &material->channels[material->channel_count++];
@@ -99,8 +96,7 @@ int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from,
     BSQ_TRY(bsq_text_copy(ctx, from->name, &out->name));
     BSQ_TRY(copy_channel(ctx, &from->color, &out->color));
     if (from->channel_count > 0)
-        BSQ_TRY(bsq_calloc(ctx, "materials", from->channel_count, sizeof *out->channels,
-                           &out->channels));
+        BSQ_TRY(BSQ_CALLOC(ctx, "materials", from->channel_count, &out->channels));
     for (uint32_t i = 0; i < from->channel_count; i++)
         BSQ_TRY(copy_channel(ctx, &from->channels[i], &out->channels[out->channel_count++]));
 done:

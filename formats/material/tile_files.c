@@ -108,8 +108,7 @@ static int tile_files_add(struct bsq_ctx *ctx, const char *path, uint32_t number
     struct stat info;
     if (stat(path, &info) != 0 || !S_ISREG(info.st_mode))
         return 0;
-    int status = bsq_grow(ctx, "tiles of a texture", out->count + 1, sizeof *out->list, &out->list,
-                          &out->capacity);
+    int status = BSQ_GROW(ctx, "tiles of a texture", out->count + 1, &out->list, &out->capacity);
     if (status < 0)
         return status;
     struct fmt_tile_file *file = &out->list[out->count];

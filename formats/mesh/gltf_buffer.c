@@ -241,9 +241,7 @@ void fmt_gltf_free_buffers(struct bsq_ctx *ctx, struct gltf_source *source)
         bsq_free(ctx, source->buffers[i].path);
     }
     bsq_file_close(ctx, &source->decoded.file);
-    bsq_free(ctx, source->buffers);
-    bsq_free(ctx, source->views);
-    bsq_free(ctx, source->packed);
+    BSQ_FREE(ctx, source->buffers, source->views, source->packed);
 }
 
 int fmt_gltf_read_bytes(struct bsq_ctx *ctx, const struct gltf_source *source, uint32_t buffer,

@@ -197,8 +197,7 @@ static int read_uv(const struct gltf_item *item, const struct gltf_material *mat
     if (status || (set == material->texcoord && relate((const double(*)[3])material->uv_matrix,
                                                        (const double(*)[3])matrix, &out->uv)))
         return status;
-    bsq_free(ctx, out->texture_path);
-    bsq_free(ctx, out->texture_place);
+    BSQ_FREE(ctx, out->texture_path, out->texture_place);
     out->texture_path = out->texture_place = NULL;
     out->uv = (struct fmt_uv){.moves = false};
     out->loss = "its texture has other texture coordinates than the base colour and is not used";
@@ -299,8 +298,7 @@ static int read_channels(const struct gltf_item *item, struct gltf_source *sourc
     uint32_t count = 0;
     for (unsigned i = 0; (row = fmt_channel_at(i)); i++)
         count += row->gltf.object != NULL;
-    int status = bsq_calloc(item->document->ctx, "glTF materials", count, sizeof *list->channels,
-                            &list->channels);
+    int status = BSQ_CALLOC(item->document->ctx, "glTF materials", count, &list->channels);
     for (unsigned i = 0; (row = fmt_channel_at(i)) && !status; i++) {
         if (!row->gltf.object)
             continue;

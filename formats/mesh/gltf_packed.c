@@ -71,8 +71,8 @@ static int add_packed(const struct gltf_item *item, struct gltf_source *source,
     int status = 0;
     if (source->packed_count == source->packed_capacity)
         status =
-            bsq_grow(item->document->ctx, "compressed views", (uint64_t)source->packed_count + 1,
-                     sizeof *source->packed, &source->packed, &source->packed_capacity);
+            BSQ_GROW(item->document->ctx, "compressed views", (uint64_t)source->packed_count + 1,
+                     &source->packed, &source->packed_capacity);
     if (!status)
         source->packed[source->packed_count++] = *packed;
     return status;
@@ -139,8 +139,8 @@ static int add_view(const struct gltf_item *item, struct gltf_source *source, ui
         return fmt_gltf_fail(item, "too many elements");
     int status = 0;
     if (source->view_count == source->view_capacity)
-        status = bsq_grow(item->document->ctx, "glTF views", (uint64_t)source->view_count + 1,
-                          sizeof *source->views, &source->views, &source->view_capacity);
+        status = BSQ_GROW(item->document->ctx, "glTF views", (uint64_t)source->view_count + 1,
+                          &source->views, &source->view_capacity);
     if (!status)
         status = add_decoded(item, source, view.size, &view.offset);
     if (status)

@@ -53,8 +53,7 @@ static int allocate_primitives(struct gltf_document *document, struct gltf_sourc
     for (uint64_t i = 0; i < count; i++)
         primitives += json_array_size(
             json_object_get(fmt_gltf_element(document, "meshes", i).object, "primitives"));
-    return bsq_calloc(document->ctx, "glTF primitives", primitives, sizeof *source->primitives,
-                      &source->primitives);
+    return BSQ_CALLOC(document->ctx, "glTF primitives", primitives, &source->primitives);
 }
 
 #define READ_LIST(name, list, count, read)                                                         \
@@ -104,10 +103,7 @@ static void end(struct stream_source *source)
     fmt_gltf_free_buffers(ctx, file);
     for (uint32_t i = 0; i < file->material_count; i++)
         fmt_material_free(ctx, &file->materials[i].described);
-    bsq_free(ctx, file->materials);
-    bsq_free(ctx, file->accessors);
-    bsq_free(ctx, file->primitives);
-    bsq_free(ctx, file->meshes);
+    BSQ_FREE(ctx, file->materials, file->accessors, file->primitives, file->meshes);
     for (uint32_t i = 0; i < file->placement_count; i++)
         bsq_free(ctx, file->placements[i].name);
     bsq_free(ctx, file->placements);

@@ -490,9 +490,8 @@ int fmt_gltf_read_scene(struct gltf_document *document, struct gltf_source *sour
         .document = document, .source = source, .node_count = fmt_gltf_count(document, "nodes")};
     const uint64_t most = w.node_count > 0 ? w.node_count : source->mesh_count;
     int status;
-    BSQ_TRY(
-        bsq_calloc(ctx, "glTF nodes", most + 1, sizeof *source->placements, &source->placements));
-    BSQ_TRY(bsq_calloc(ctx, "glTF nodes", w.node_count + 1, sizeof *w.stack, &w.stack));
+    BSQ_TRY(BSQ_CALLOC(ctx, "glTF nodes", most + 1, &source->placements));
+    BSQ_TRY(BSQ_CALLOC(ctx, "glTF nodes", w.node_count + 1, &w.stack));
     BSQ_TRY(bsq_calloc(ctx, "glTF nodes", w.node_count + 1, 2, &w.seen));
     if (w.node_count == 0)
         BSQ_TRY(place_all(&w));
@@ -502,7 +501,6 @@ int fmt_gltf_read_scene(struct gltf_document *document, struct gltf_source *sour
         BSQ_TRY(visit_scene(&w));
     count_outside(&w);
 done:
-    bsq_free(ctx, w.stack);
-    bsq_free(ctx, w.seen);
+    BSQ_FREE(ctx, w.stack, w.seen);
     return status;
 }

@@ -63,9 +63,7 @@ struct mesh_arrays {
 
 /* Ensures capacity for `count` elements of one of these arrays. Errors: BSQ_ENOMEM. */
 #define FMT_RESERVE(ctx, count, array, capacity)                                                   \
-    ((count) <= (capacity)                                                                         \
-         ? 0                                                                                       \
-         : bsq_grow(ctx, "batches of a mesh", count, sizeof *(array), &(array), &(capacity)))
+    ((count) <= (capacity) ? 0 : BSQ_GROW(ctx, "batches of a mesh", count, &(array), &(capacity)))
 
 /* One file of the scan. */
 struct stream_source {

@@ -75,9 +75,8 @@ static int append_parts(struct loader *loader, const struct fmt_mesh_batch *batc
 {
     struct fmt_mesh *mesh = loader->mesh;
     uint32_t material = batch->material_at_start;
-    int status =
-        bsq_grow(loader->ctx, "materials of faces", batch->face_base + batch->face_count,
-                 sizeof *mesh->face_materials, &mesh->face_materials, &loader->material_capacity);
+    int status = BSQ_GROW(loader->ctx, "materials of faces", batch->face_base + batch->face_count,
+                          &mesh->face_materials, &loader->material_capacity);
     uint64_t next = 0;
     for (uint64_t face = 0; face < batch->face_count && status == 0; face++) {
         while (next < batch->material_change_count && batch->material_changes[next].face <= face)
@@ -180,15 +179,13 @@ static int allocate_triangles(struct loader *loader, uint32_t largest_face)
     struct fmt_mesh *mesh = loader->mesh;
     const uint64_t count = loader->corner_count - 2 * mesh->face_count;
     int status;
-    BSQ_TRY(bsq_alloc(ctx, "triangles", count, sizeof *mesh->vertices, &mesh->vertices));
+    BSQ_TRY(BSQ_ALLOC(ctx, "triangles", count, &mesh->vertices));
     if (loader->has_corners[1])
-        BSQ_TRY(bsq_alloc(ctx, "triangles", count, sizeof *mesh->corner_texcoords,
-                          &mesh->corner_texcoords));
+        BSQ_TRY(BSQ_ALLOC(ctx, "triangles", count, &mesh->corner_texcoords));
     if (loader->has_corners[2])
-        BSQ_TRY(bsq_alloc(ctx, "triangles", count, sizeof *mesh->corner_normals,
-                          &mesh->corner_normals));
-    BSQ_TRY(bsq_alloc(ctx, "triangles", count, sizeof *mesh->faces, &mesh->faces));
-    BSQ_TRY(bsq_alloc(ctx, "a polygon", largest_face, sizeof *loader->polygon, &loader->polygon));
+        BSQ_TRY(BSQ_ALLOC(ctx, "triangles", count, &mesh->corner_normals));
+    BSQ_TRY(BSQ_ALLOC(ctx, "triangles", count, &mesh->faces));
+    BSQ_TRY(BSQ_ALLOC(ctx, "a polygon", largest_face, &loader->polygon));
     BSQ_TRY(bsq_alloc(ctx, "a polygon", largest_face, 3 * sizeof *loader->triangles,
                       &loader->triangles));
     status =
@@ -222,8 +219,7 @@ static int hash_faces(struct loader *loader)
 {
     struct fmt_mesh *mesh = loader->mesh;
     uint64_t corner = 0;
-    int status = bsq_alloc(loader->ctx, "faces", mesh->face_count, sizeof *mesh->face_keys,
-                           &mesh->face_keys);
+    int status = BSQ_ALLOC(loader->ctx, "faces", mesh->face_count, &mesh->face_keys);
     for (uint64_t face = 0; face < mesh->face_count && !status; face++) {
         const uint32_t size = loader->face_sizes[face];
         mesh->face_keys[face] = XXH3_64bits(loader->corners[0] + corner, size * sizeof(uint32_t));
@@ -311,9 +307,7 @@ int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, bool named, struct fmt_
     bsq_free(ctx, loader.face_sizes);
     for (int kind = 0; kind < 3; kind++)
         bsq_free(ctx, loader.corners[kind]);
-    bsq_free(ctx, loader.polygon);
-    bsq_free(ctx, loader.triangles);
-    bsq_free(ctx, loader.scratch);
+    BSQ_FREE(ctx, loader.polygon, loader.triangles, loader.scratch);
     if (status)
         fmt_mesh_free(ctx, out);
     return status;
@@ -322,14 +316,8 @@ int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, bool named, struct fmt_
 void fmt_mesh_free(struct bsq_ctx *ctx, struct fmt_mesh *mesh)
 {
     fmt_materials_free(ctx, &mesh->materials);
-    bsq_free(ctx, mesh->face_materials);
-    bsq_free(ctx, mesh->positions);
-    bsq_free(ctx, mesh->texcoords);
-    bsq_free(ctx, mesh->normals);
-    bsq_free(ctx, mesh->vertices);
-    bsq_free(ctx, mesh->corner_texcoords);
-    bsq_free(ctx, mesh->corner_normals);
-    bsq_free(ctx, mesh->faces);
-    bsq_free(ctx, mesh->face_keys);
+    BSQ_FREE(ctx, mesh->face_materials, mesh->positions, mesh->texcoords, mesh->normals,
+             mesh->vertices, mesh->corner_texcoords, mesh->corner_normals, mesh->faces,
+             mesh->face_keys);
     memset(mesh, 0, sizeof *mesh);
 }

@@ -41,8 +41,8 @@ int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials
     int status = 0;
     memset(out, 0, sizeof *out);
     if (reader->material_count > 0)
-        BSQ_TRY(bsq_calloc(reader->ctx, "a list of materials and of colours of faces",
-                           reader->material_count, sizeof *out->list, &out->list));
+        BSQ_TRY(BSQ_CALLOC(reader->ctx, "a list of materials and of colours of faces",
+                           reader->material_count, &out->list));
     out->count = (uint32_t)reader->material_count;
     out->capacity = reader->material_count;
     for (uint32_t i = 0; i < reader->source_count; i++) {

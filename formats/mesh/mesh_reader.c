@@ -184,7 +184,7 @@ static int open_sources(struct fmt_mesh_reader *reader, const struct fmt_mesh_in
 {
     struct bsq_ctx *ctx = reader->ctx;
     int status;
-    BSQ_TRY(bsq_calloc(ctx, "inputs", from->path_count, sizeof *reader->sources, &reader->sources));
+    BSQ_TRY(BSQ_CALLOC(ctx, "inputs", from->path_count, &reader->sources));
     /* All are checked before one is opened, which may wait for a writer. */
     for (uint32_t i = 0; i < from->path_count; i++)
         BSQ_TRY(check_once(ctx, from, i));
@@ -214,7 +214,7 @@ int fmt_mesh_open_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from
 {
     struct fmt_mesh_reader *reader;
     *out = NULL;
-    int status = bsq_calloc(ctx, "mesh reader", 1, sizeof *reader, &reader);
+    int status = BSQ_CALLOC(ctx, "mesh reader", 1, &reader);
     if (status)
         return status;
     reader->ctx = ctx;

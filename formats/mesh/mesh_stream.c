@@ -521,7 +521,7 @@ static int run_job(struct job *job)
 {
     struct bsq_ctx *ctx = job->reader->ctx;
     const unsigned slot_count = count_slots(job->reader);
-    int status = bsq_calloc(ctx, "batches of a mesh", slot_count, sizeof *job->slots, &job->slots);
+    int status = BSQ_CALLOC(ctx, "batches of a mesh", slot_count, &job->slots);
     if (status)
         return status;
     for (unsigned i = 0; i < slot_count; i++)
@@ -657,13 +657,10 @@ void fmt_mesh_close(struct fmt_mesh_reader *reader)
         struct stream_source *source = &reader->sources[i];
         if (source->data && source->format->end)
             source->format->end(source);
-        bsq_free(reader->ctx, source->data);
-        bsq_free(reader->ctx, source->numbers);
+        BSQ_FREE(reader->ctx, source->data, source->numbers);
         fmt_input_free(source->input);
     }
-    bsq_free(reader->ctx, reader->sources);
-    bsq_free(reader->ctx, reader->face_parts);
-    bsq_free(reader->ctx, reader->notes);
+    BSQ_FREE(reader->ctx, reader->sources, reader->face_parts, reader->notes);
     bsq_tally_release(reader->ctx, &reader->names);
     bsq_free(reader->ctx, reader);
 }

@@ -18,8 +18,7 @@ enum { PATIENCE_LINES = 1000 };
 static void end(struct stream_source *source)
 {
     struct obj_file *file = source->data;
-    bsq_free(source->ctx, file->library_lines);
-    bsq_free(source->ctx, file->object);
+    BSQ_FREE(source->ctx, file->library_lines, file->object);
     bsq_texts_free(&file->materials);
     bsq_texts_free(&file->objects);
     bsq_texts_free(&file->libraries);

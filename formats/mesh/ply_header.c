@@ -168,8 +168,8 @@ static int read_element(struct lines *l, char *rest)
 {
     struct ply_header *header = l->header;
     const char *name = next_word(&rest), *count = next_word(&rest);
-    int status = bsq_grow(l->ctx, "header of a PLY file", header->element_count + 1,
-                          sizeof *header->elements, &header->elements, &header->element_capacity);
+    int status = BSQ_GROW(l->ctx, "header of a PLY file", header->element_count + 1,
+                          &header->elements, &header->element_capacity);
     if (status)
         return status;
     struct ply_element *element = &header->elements[header->element_count];
@@ -206,9 +206,8 @@ static int read_property(struct lines *l, char *rest)
     property.type = find_type(word);
     if (property.type == PLY_NO_TYPE)
         return fail_line(l, "unknown type", word);
-    int status =
-        bsq_grow(l->ctx, "header of a PLY file", header->property_count + 1,
-                 sizeof *header->properties, &header->properties, &header->property_capacity);
+    int status = BSQ_GROW(l->ctx, "header of a PLY file", header->property_count + 1,
+                          &header->properties, &header->property_capacity);
     if (!status)
         status = bsq_text_copy(l->ctx, next_word(&rest), &property.name);
     if (status)
@@ -228,8 +227,8 @@ static int read_comment(struct lines *l, char *rest)
     size_t length = strlen(rest);
     while (length > 0 && strchr(" \t\r", rest[length - 1]))
         rest[--length] = '\0';
-    int status = bsq_grow(l->ctx, "header of a PLY file", header->texture_count + 1,
-                          sizeof *header->textures, &header->textures, &header->texture_capacity);
+    int status = BSQ_GROW(l->ctx, "header of a PLY file", header->texture_count + 1,
+                          &header->textures, &header->texture_capacity);
     if (!status)
         status = bsq_text_copy(l->ctx, rest, &header->textures[header->texture_count]);
     header->texture_count += status == 0;
@@ -463,9 +462,7 @@ void fmt_ply_header_free(struct bsq_ctx *ctx, struct ply_header *header)
         bsq_free(ctx, header->properties[i].name);
     for (uint32_t i = 0; i < header->texture_count; i++)
         bsq_free(ctx, header->textures[i]);
-    bsq_free(ctx, header->elements);
-    bsq_free(ctx, header->properties);
-    bsq_free(ctx, header->textures);
+    BSQ_FREE(ctx, header->elements, header->properties, header->textures);
     memset(header, 0, sizeof *header);
 }
 

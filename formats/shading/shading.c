@@ -27,11 +27,10 @@ static int shading_add(struct fmt_shading *shading, uint32_t number, const struc
     struct bsq_ctx *ctx = shading->ctx;
     const uint32_t count = number < FMT_SHADING_CHANNELS ? FMT_SHADING_CHANNELS : number + 1;
     int status = 0;
-    BSQ_TRY(bsq_grow(ctx, "attributes", count, sizeof *shading->attributes, &shading->attributes,
-                     &shading->attribute_capacity));
+    BSQ_TRY(BSQ_GROW(ctx, "attributes", count, &shading->attributes, &shading->attribute_capacity));
     for (; shading->attribute_count < count; shading->attribute_count++)
         shading->attributes[shading->attribute_count] = (struct fmt_attribute){0};
-    BSQ_TRY(bsq_calloc(ctx, "attributes", source_count(shading), sizeof **sources, sources));
+    BSQ_TRY(BSQ_CALLOC(ctx, "attributes", source_count(shading), sources));
     shading->attributes[number] = (struct fmt_attribute){.row = row, .sources = *sources};
 done:
     return status;
@@ -46,8 +45,7 @@ int fmt_shading_add_color(struct fmt_shading *shading)
     if (!fmt_tris_has_color(header))
         return 0;
     BSQ_TRY(shading_add(shading, FMT_SHADING_COLOR, &row, &sources));
-    BSQ_TRY(bsq_calloc(shading->ctx, "material colours", source_count(shading),
-                       sizeof *shading->diffuse, &shading->diffuse));
+    BSQ_TRY(BSQ_CALLOC(shading->ctx, "material colours", source_count(shading), &shading->diffuse));
     for (uint32_t m = 0; m < header->material_count; m++) {
         const struct fmt_tris_material *material = &header->materials[m];
         for (int k = 0; k < 3; k++)
@@ -119,7 +117,7 @@ static const char *shading_name_of(const struct fmt_tris_header *header, uint64_
 int fmt_shading_add_ids(struct fmt_shading *shading)
 {
     const uint64_t count = source_count(shading);
-    int status = bsq_alloc(shading->ctx, "ids", count, sizeof *shading->ids, &shading->ids);
+    int status = BSQ_ALLOC(shading->ctx, "ids", count, &shading->ids);
     for (uint64_t m = 0; m < count && status == 0; m++)
         shading->ids[m] = fmt_name_id(shading_name_of(shading->header, m));
     return status;
@@ -135,7 +133,7 @@ int fmt_shading_id_names(struct bsq_ctx *ctx, const struct fmt_tris_header *head
 {
     const uint64_t all = header->material_count + UINT64_C(1);
     *count = 0;
-    int status = bsq_alloc(ctx, "names of ids", all, sizeof **names, names);
+    int status = BSQ_ALLOC(ctx, "names of ids", all, names);
     if (status < 0)
         return status;
     for (uint64_t m = 0; m < all; m++)
@@ -224,9 +222,7 @@ void fmt_shading_close(struct fmt_shading *shading)
     for (uint32_t a = 0; a < shading->attribute_count; a++)
         bsq_free(shading->ctx, shading->attributes[a].sources);
     if (shading->ctx) {
-        bsq_free(shading->ctx, shading->attributes);
-        bsq_free(shading->ctx, shading->diffuse);
-        bsq_free(shading->ctx, shading->ids);
+        BSQ_FREE(shading->ctx, shading->attributes, shading->diffuse, shading->ids);
     }
     *shading = (struct fmt_shading){0};
 }

@@ -136,7 +136,7 @@ static int jpeg_rows_read_header(struct jpeg_rows *rows, struct fmt_rows_info *o
 static int open_jpeg(struct fmt_rows_input *input, struct fmt_rows_info *info, void **state)
 {
     struct jpeg_rows *rows;
-    int status = bsq_calloc(input->ctx, "a JPEG decoder", 1, sizeof *rows, &rows);
+    int status = BSQ_CALLOC(input->ctx, "a JPEG decoder", 1, &rows);
     *state = rows;
     if (status < 0)
         return status;

@@ -105,7 +105,7 @@ static int png_rows_read_header(struct png_rows *rows, struct fmt_rows_info *out
 static int open_png(struct fmt_rows_input *input, struct fmt_rows_info *info, void **state)
 {
     struct png_rows *rows;
-    int status = bsq_calloc(input->ctx, "a PNG decoder", 1, sizeof *rows, &rows);
+    int status = BSQ_CALLOC(input->ctx, "a PNG decoder", 1, &rows);
     *state = rows;
     if (status < 0)
         return status;

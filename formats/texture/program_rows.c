@@ -48,7 +48,7 @@ static int open_program(struct fmt_rows_input *input, struct fmt_rows_info *info
     struct fmt_rows_head head = {.stamp = ""};
     char program[PATH_MAX];
     int status;
-    BSQ_TRY(bsq_calloc(input->ctx, "a texture's decoder", 1, sizeof *rows, &rows));
+    BSQ_TRY(BSQ_CALLOC(input->ctx, "a texture's decoder", 1, &rows));
     *state = rows;
     *rows = (struct program_rows){
         .ctx = input->ctx, .file = BSQ_FILE_CLOSED, .at = sizeof(struct fmt_rows_head)};

@@ -70,7 +70,7 @@ int fmt_blocks_finish(struct fmt_blocks *blocks)
     count = count < useful ? count : useful;
     BSQ_TRY(
         bsq_alloc(blocks->ctx, "texture cache", count, SET_BLOCKS * BLOCK_BYTES, &blocks->slots));
-    BSQ_TRY(bsq_calloc(blocks->ctx, "texture cache", count, sizeof *blocks->sets, &blocks->sets));
+    BSQ_TRY(BSQ_CALLOC(blocks->ctx, "texture cache", count, &blocks->sets));
     blocks->set_count = count;
     for (uint64_t i = 0; i < count; i++)
         pthread_mutex_init(&blocks->sets[i].lock, NULL);
@@ -83,8 +83,7 @@ void fmt_blocks_free(struct fmt_blocks *blocks)
     struct bsq_ctx *ctx = blocks->ctx;
     for (uint64_t i = 0; i < blocks->set_count; i++)
         pthread_mutex_destroy(&blocks->sets[i].lock);
-    bsq_free(ctx, blocks->sets);
-    bsq_free(ctx, blocks->slots);
+    BSQ_FREE(ctx, blocks->sets, blocks->slots);
     while (blocks->transfers) {
         struct transfer *next = blocks->transfers->next;
         bsq_free(ctx, blocks->transfers);
@@ -176,9 +175,9 @@ static int pyramid_prepare(struct fmt_pyramid *p, struct level *level)
     struct bsq_ctx *ctx = p->blocks->ctx;
     const uint64_t samples = (uint64_t)level->width * p->channels;
     int status;
-    BSQ_TRY(bsq_alloc(ctx, "texture rows", samples, sizeof *level->row, &level->row));
+    BSQ_TRY(BSQ_ALLOC(ctx, "texture rows", samples, &level->row));
     if (level->shift > 0)
-        BSQ_TRY(bsq_calloc(ctx, "texture rows", samples, sizeof *level->sums, &level->sums));
+        BSQ_TRY(BSQ_CALLOC(ctx, "texture rows", samples, &level->sums));
     if (!p->memory)
         BSQ_TRY(bsq_calloc(ctx, "texture rows", level->blocks_across, BLOCK_BYTES, &level->band));
 done:
@@ -192,7 +191,7 @@ int fmt_pyramid_begin(struct fmt_pyramid *p, double gamma)
     int status;
     for (p->level_count = 1; side >> (p->level_count + 1) >= CELLS_ALONG;)
         p->level_count++;
-    BSQ_TRY(bsq_calloc(blocks->ctx, "texture", p->level_count, sizeof *p->levels, &p->levels));
+    BSQ_TRY(BSQ_CALLOC(blocks->ctx, "texture", p->level_count, &p->levels));
     const uint64_t count = pyramid_lay_out(p);
     pthread_mutex_lock(&blocks->lock);
     status = p->sample_bytes < 4 ? find_table(blocks, 8 * p->sample_bytes, gamma, &p->table) : 0;
@@ -293,9 +292,7 @@ void fmt_pyramid_end(struct fmt_pyramid *p)
 {
     for (uint32_t n = 0; p->levels && n < p->level_count; n++) {
         struct level *level = &p->levels[n];
-        bsq_free(p->blocks->ctx, level->band);
-        bsq_free(p->blocks->ctx, level->sums);
-        bsq_free(p->blocks->ctx, level->row);
+        BSQ_FREE(p->blocks->ctx, level->band, level->sums, level->row);
         level->band = NULL;
         level->sums = NULL;
         level->row = NULL;
@@ -310,8 +307,7 @@ void fmt_pyramid_free(struct fmt_pyramid *p)
     pthread_mutex_lock(&p->blocks->lock);
     p->blocks->resident -= p->resident;
     pthread_mutex_unlock(&p->blocks->lock);
-    bsq_free(p->blocks->ctx, p->memory);
-    bsq_free(p->blocks->ctx, p->levels);
+    BSQ_FREE(p->blocks->ctx, p->memory, p->levels);
     p->levels = NULL;
 }
 

@@ -60,10 +60,10 @@ struct fmt_textures {
 
 static int add_image(struct fmt_textures *t, const char *path)
 {
-    int status = t->image_count < UINT32_MAX
-                     ? bsq_grow(t->ctx, "texture images", t->image_count + 1, sizeof *t->images,
-                                &t->images, &t->image_capacity)
-                     : bsq_fail(t->ctx, BSQ_EDATA, "%s: too many textures", path);
+    int status =
+        t->image_count < UINT32_MAX
+            ? BSQ_GROW(t->ctx, "texture images", t->image_count + 1, &t->images, &t->image_capacity)
+            : bsq_fail(t->ctx, BSQ_EDATA, "%s: too many textures", path);
     if (status == 0)
         t->images[t->image_count++] =
             (struct image){.path = path, .texture = (uint32_t)(t->count - 1)};
@@ -76,7 +76,7 @@ static int texture_add(struct fmt_textures *t, const struct fmt_texture_source *
 {
     struct bsq_ctx *ctx = t->ctx;
     int status;
-    BSQ_TRY(bsq_grow(ctx, "textures", t->count + 1, sizeof *t->list, &t->list, &t->capacity));
+    BSQ_TRY(BSQ_GROW(ctx, "textures", t->count + 1, &t->list, &t->capacity));
     struct texture *texture = &t->list[t->count++];
     *texture = (struct texture){.source = *source, .first = (uint32_t)t->image_count};
     texture->source.path = path;
@@ -106,7 +106,7 @@ static int texture_list(struct fmt_textures *t, const struct fmt_texture_source 
         if (!source->path)
             continue;
         BSQ_TRY(bsq_texts_add(ctx, &t->tally, &t->paths, source->path, &path));
-        BSQ_TRY(bsq_grow(ctx, "textures", 8 * t->paths.count, sizeof *known, &known, &capacity));
+        BSQ_TRY(BSQ_GROW(ctx, "textures", 8 * t->paths.count, &known, &capacity));
         for (; paths < t->paths.count; paths++)
             memset(known + 8 * paths, 0xff, 8 * sizeof *known);
         uint32_t *texture = &known[8 * path + 4 * source->data + 2 * source->alpha + source->srgb];
@@ -251,11 +251,11 @@ int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sour
     struct fmt_textures *t = NULL;
     int status;
     *out = NULL;
-    BSQ_TRY(bsq_calloc(ctx, "textures", 1, sizeof *t, &t));
+    BSQ_TRY(BSQ_CALLOC(ctx, "textures", 1, &t));
     t->ctx = ctx;
     t->keeps = cache_bytes > 0;
     fmt_blocks_create(ctx, cache_bytes, &t->blocks);
-    BSQ_TRY(bsq_alloc(ctx, "textures", count + UINT64_C(1), sizeof *t->texture_of, &t->texture_of));
+    BSQ_TRY(BSQ_ALLOC(ctx, "textures", count + UINT64_C(1), &t->texture_of));
     BSQ_TRY(texture_list(t, sources, count));
     BSQ_TRY(texture_decode_all(t));
     *out = t;
@@ -276,7 +276,7 @@ int fmt_textures_open_each(struct bsq_ctx *ctx, uint64_t count,
     *out = NULL;
     if (count > UINT32_MAX)
         return bsq_fail(ctx, BSQ_EDATA, "too many textures: %" PRIu64, count);
-    BSQ_TRY(bsq_calloc(ctx, "texture paths", count + 1, sizeof *sources, &sources));
+    BSQ_TRY(BSQ_CALLOC(ctx, "texture paths", count + 1, &sources));
     for (uint64_t i = 0; i < count; i++) {
         source_of(arg, i, &sources[i]);
         any |= sources[i].path != NULL;
@@ -302,9 +302,7 @@ void fmt_textures_close(struct fmt_textures *t)
         bsq_free(ctx, t->list[i].missing);
     }
     fmt_blocks_free(&t->blocks);
-    bsq_free(ctx, t->images);
-    bsq_free(ctx, t->list);
-    bsq_free(ctx, t->texture_of);
+    BSQ_FREE(ctx, t->images, t->list, t->texture_of);
     bsq_texts_free(&t->paths);
     bsq_tally_release(ctx, &t->tally);
     bsq_free(ctx, t);

@@ -46,10 +46,10 @@ int bake_asset_open(struct bsq_ctx *ctx, const struct bake_options *options, uin
     if (options->normal_space != BAKE_TANGENT_SPACE)
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: glTF has normals in tangent space only",
                         options->glb_path);
-    BSQ_TRY(bsq_calloc(ctx, "GLB file", 1, sizeof *asset, &asset));
+    BSQ_TRY(BSQ_CALLOC(ctx, "GLB file", 1, &asset));
     asset->ctx = ctx;
     asset->path = options->glb_path;
-    BSQ_TRY(bsq_calloc(ctx, "GLB file", tiles, sizeof *asset->tiles, &asset->tiles));
+    BSQ_TRY(BSQ_CALLOC(ctx, "GLB file", tiles, &asset->tiles));
     for (; asset->tile_count < tiles; asset->tile_count++)
         for (int k = 0; k < FMT_GLB_TEXTURES; k++)
             asset->tiles[asset->tile_count].files[k] = (struct bsq_file)BSQ_FILE_CLOSED;
@@ -308,14 +308,11 @@ static int make_primitives(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
                         mesh->triangle_count);
     for (int k = 0; k < 3; k++)
         out->centre[k] = 0.5 * (mesh->bounds_min[k] + mesh->bounds_max[k]);
-    BSQ_TRY(bsq_calloc(ctx, "primitives of a GLB file", udim->count + UINT64_C(1),
-                       sizeof *out->list, &out->list));
-    BSQ_TRY(bsq_alloc(ctx, "primitives of a GLB file", udim->count + UINT64_C(1),
-                      sizeof *out->tiles, &out->tiles));
-    BSQ_TRY(
-        bsq_alloc(ctx, "vertices of a GLB file", corners, sizeof *out->vertices, &out->vertices));
-    BSQ_TRY(bsq_alloc(ctx, "indices of a GLB file", corners, sizeof *out->indices, &out->indices));
-    BSQ_TRY(bsq_alloc(ctx, "corners of a GLB file", corners, sizeof *sorted, &sorted));
+    BSQ_TRY(BSQ_CALLOC(ctx, "primitives of a GLB file", udim->count + UINT64_C(1), &out->list));
+    BSQ_TRY(BSQ_ALLOC(ctx, "primitives of a GLB file", udim->count + UINT64_C(1), &out->tiles));
+    BSQ_TRY(BSQ_ALLOC(ctx, "vertices of a GLB file", corners, &out->vertices));
+    BSQ_TRY(BSQ_ALLOC(ctx, "indices of a GLB file", corners, &out->indices));
+    BSQ_TRY(BSQ_ALLOC(ctx, "corners of a GLB file", corners, &sorted));
     for (uint32_t i = 0; i < udim->count; i++) {
         out->tiles[out->count] = i;
         BSQ_TRY(asset_add_primitive(ctx, mesh, udim, &udim->tiles[i], sorted, out));
@@ -328,10 +325,7 @@ done:
 
 static void free_primitives(struct bsq_ctx *ctx, struct primitives *mesh)
 {
-    bsq_free(ctx, mesh->list);
-    bsq_free(ctx, mesh->tiles);
-    bsq_free(ctx, mesh->vertices);
-    bsq_free(ctx, mesh->indices);
+    BSQ_FREE(ctx, mesh->list, mesh->tiles, mesh->vertices, mesh->indices);
 }
 
 /* ---- the file ---- */
@@ -359,8 +353,7 @@ int bake_asset_write(struct bake_asset *asset, const struct bake_lowmesh *mesh,
     struct primitives primitives = {0};
     int status;
     BSQ_TRY(make_primitives(ctx, mesh, udim, &primitives));
-    BSQ_TRY(bsq_calloc(ctx, "materials of a GLB file", primitives.count + UINT64_C(1),
-                       sizeof *materials, &materials));
+    BSQ_TRY(BSQ_CALLOC(ctx, "materials of a GLB file", primitives.count + UINT64_C(1), &materials));
     for (uint32_t i = 0; i < primitives.count; i++)
         if (!primitives.list[i].plain)
             set_material(&asset->tiles[primitives.tiles[i]], mesh,
@@ -396,7 +389,5 @@ void bake_asset_discard(struct bake_asset *asset)
             bsq_file_close(asset->ctx, &asset->tiles[i].files[k]);
         }
     bsq_output_discard(asset->output);
-    bsq_free(asset->ctx, asset->rows);
-    bsq_free(asset->ctx, asset->tiles);
-    bsq_free(asset->ctx, asset);
+    BSQ_FREE(asset->ctx, asset->rows, asset->tiles, asset);
 }

@@ -27,8 +27,7 @@ static int read_texts(struct bsq_ctx *ctx, const void *png, struct fmt_exr_image
     uint64_t capacity = 0;
     int status = 0;
     for (uint32_t i = 0; fmt_png_text(png, i, &name, &value); i++) {
-        BSQ_TRY(bsq_grow(ctx, "a map's attributes", i + UINT64_C(1), sizeof *out->attributes,
-                         &out->attributes, &capacity));
+        BSQ_TRY(BSQ_GROW(ctx, "a map's attributes", i + UINT64_C(1), &out->attributes, &capacity));
         struct fmt_exr_attribute *attribute = &out->attributes[out->attribute_count++];
         *attribute = (struct fmt_exr_attribute){0};
         BSQ_TRY(bsq_text_copy(ctx, name, &attribute->name));
@@ -61,8 +60,7 @@ static int name_channels(struct bsq_ctx *ctx, const struct fmt_rows_info *info,
     static const char *const grey[] = {"Y", "A"}, *const rgb[] = {"R", "G", "B", "A"};
     const char *const *names = info->channels >= 3 ? rgb : grey;
     int status;
-    BSQ_TRY(
-        bsq_calloc(ctx, "a map's channels", info->channels, sizeof *out->channels, &out->channels));
+    BSQ_TRY(BSQ_CALLOC(ctx, "a map's channels", info->channels, &out->channels));
     for (; out->channel_count < info->channels; out->channel_count++)
         BSQ_TRY(bsq_text_copy(ctx, names[out->channel_count], &out->channels[out->channel_count]));
 done:
@@ -440,7 +438,7 @@ static int write_heat_rows(struct bsq_ctx *ctx, const struct bake_comparison *co
     const float *error = comparison->errors;
     float(*row)[3];
     int status;
-    BSQ_TRY(bsq_alloc(ctx, "heat map", width, sizeof *row, &row));
+    BSQ_TRY(BSQ_ALLOC(ctx, "heat map", width, &row));
     for (uint32_t y = 0; y < comparison->a.height; y++) {
         for (uint64_t x = 0; x < width; x++, error++)
             if (*error >= 0)
@@ -499,7 +497,7 @@ static int show(struct bsq_ctx *ctx, const struct bake_compare_options *options,
     int status;
     for (int i = 0; i < 2; i++)
         BSQ_TRY(bake_page_begin_picture(ctx, c->a.width, c->a.height, &maps[i]));
-    BSQ_TRY(bsq_alloc(ctx, "rows of maps", 2 * width, sizeof *rows, &rows));
+    BSQ_TRY(BSQ_ALLOC(ctx, "rows of maps", 2 * width, &rows));
     for (uint32_t y = 0; y < c->a.height; y++) {
         for (uint64_t x = 0; x < width; x++)
             read_rgb(c, y * width + x, rows[x], rows[width + x]);
@@ -542,11 +540,10 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
     BSQ_TRY(bsq_check_size(ctx, "bake_compare_options", options->size, sizeof *options));
     BSQ_TRY(compare_load_image(ctx, options, &c));
     BSQ_TRY(check_same_meaning(ctx, options, &c));
-    BSQ_TRY(bsq_alloc(ctx, "channels", c.a.channel_count + UINT64_C(3), sizeof *c.pairs, &c.pairs));
+    BSQ_TRY(BSQ_ALLOC(ctx, "channels", c.a.channel_count + UINT64_C(3), &c.pairs));
     BSQ_TRY(choose_kind(ctx, options, &c));
     BSQ_TRY(compare_decode(ctx, &c));
-    BSQ_TRY(
-        bsq_alloc(ctx, "errors", (uint64_t)c.a.width * c.a.height, sizeof *c.errors, &c.errors));
+    BSQ_TRY(BSQ_ALLOC(ctx, "errors", (uint64_t)c.a.width * c.a.height, &c.errors));
     BSQ_TRY(bsq_parallel_for(ctx, c.a.height, compare_measure_row, &c));
     BSQ_TRY(bake_comparison_summarise(ctx, options, &c, report));
     report->scale = options->scale > 0                         ? options->scale
@@ -562,8 +559,7 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
     }
 done:
     bsq_output_discard(picture);
-    bsq_free(ctx, c.errors);
-    bsq_free(ctx, c.pairs);
+    BSQ_FREE(ctx, c.errors, c.pairs);
     fmt_exr_image_free(ctx, &c.a), fmt_exr_image_free(ctx, &c.b);
     fmt_exr_image_free(ctx, &c.a_mask), fmt_exr_image_free(ctx, &c.b_mask);
     return status;

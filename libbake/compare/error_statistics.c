@@ -54,7 +54,7 @@ static int find_percentiles(struct bsq_ctx *ctx, const struct bake_comparison *c
                             struct bake_compare_report *r)
 {
     float *values, median = 0, p95 = 0, p99 = 0;
-    int status = bsq_alloc(ctx, "sorting errors", r->compared, sizeof *values, &values);
+    int status = BSQ_ALLOC(ctx, "sorting errors", r->compared, &values);
     if (status)
         return status;
     uint64_t texels = (uint64_t)r->width * r->height, count = 0;

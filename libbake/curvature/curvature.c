@@ -288,14 +288,14 @@ static int curvature_allocate(struct work *work)
     work->most = fitting < 1 ? 1 : fitting < all ? fitting : all;
     const uint64_t rays = work->most * PROBES;
     int status = 0;
-    BSQ_TRY(bsq_alloc(ctx, "rays", rays, sizeof *work->rays, &work->rays));
-    BSQ_TRY(bsq_alloc(ctx, "hits", rays, sizeof *work->hits, &work->hits));
-    BSQ_TRY(bsq_alloc(ctx, "points", rays, sizeof *work->probes, &work->probes));
-    BSQ_TRY(bsq_alloc(ctx, "points", rays, sizeof *work->listed, &work->listed));
+    BSQ_TRY(BSQ_ALLOC(ctx, "rays", rays, &work->rays));
+    BSQ_TRY(BSQ_ALLOC(ctx, "hits", rays, &work->hits));
+    BSQ_TRY(BSQ_ALLOC(ctx, "points", rays, &work->probes));
+    BSQ_TRY(BSQ_ALLOC(ctx, "points", rays, &work->listed));
     if (!work->job->objects)
         return 0;
-    BSQ_TRY(bsq_alloc(ctx, "objects of texels", work->most, sizeof *work->objects, &work->objects));
-    status = bsq_alloc(ctx, "objects of rays", rays, sizeof *work->ray_objects, &work->ray_objects);
+    BSQ_TRY(BSQ_ALLOC(ctx, "objects of texels", work->most, &work->objects));
+    status = BSQ_ALLOC(ctx, "objects of rays", rays, &work->ray_objects);
 done:
     return status;
 }
@@ -316,12 +316,7 @@ int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *job,
                               true, trace_band, &work);
 done:
     bsq_progress_end(ctx);
-    bsq_free(ctx, work.ray_objects);
-    bsq_free(ctx, work.objects);
-    bsq_free(ctx, work.listed);
-    bsq_free(ctx, work.probes);
-    bsq_free(ctx, work.hits);
-    bsq_free(ctx, work.rays);
+    BSQ_FREE(ctx, work.ray_objects, work.objects, work.listed, work.probes, work.hits, work.rays);
     return status;
 }
 

@@ -207,7 +207,7 @@ int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_jo
     struct bake_device *device;
     int status;
     *out = NULL;
-    status = bsq_calloc(ctx, "device", 1, sizeof *device, &device);
+    status = BSQ_CALLOC(ctx, "device", 1, &device);
     if (status < 0)
         return status;
     device->ctx = ctx;

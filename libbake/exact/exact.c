@@ -14,7 +14,7 @@ static int build_chunk_tree(struct bake_exact *exact)
     int status = 0;
     BSQ_TRY(bsq_alloc(ctx, "tree of chunks", bake_exact_tree_bytes(exact->chunk_count), 1,
                       &exact->tree_memory));
-    BSQ_TRY(bsq_alloc(ctx, "tree of chunks", exact->chunk_count, sizeof *boxes, &boxes));
+    BSQ_TRY(BSQ_ALLOC(ctx, "tree of chunks", exact->chunk_count, &boxes));
     for (uint32_t c = 0; c < exact->chunk_count; c++) {
         memcpy(boxes[c].low, exact->chunks[c].bounds_min, sizeof boxes[c].low);
         memcpy(boxes[c].high, exact->chunks[c].bounds_max, sizeof boxes[c].high);
@@ -71,12 +71,12 @@ int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *option
 {
     struct bake_exact *exact;
     *out = NULL;
-    int status = bsq_calloc(ctx, "scan", 1, sizeof *exact, &exact);
+    int status = BSQ_CALLOC(ctx, "scan", 1, &exact);
     if (status < 0)
         return status;
     exact->ctx = ctx;
     exact->options = *options;
-    status = bsq_calloc(ctx, "scan", 1, sizeof *exact->loads, &exact->loads);
+    status = BSQ_CALLOC(ctx, "scan", 1, &exact->loads);
     if (status == 0)
         status = exact_open_file(exact);
     if (status < 0)
@@ -92,9 +92,7 @@ void bake_exact_close(struct bake_exact *exact)
         return;
     struct bsq_ctx *ctx = exact->ctx;
     fmt_shading_close(&exact->shading);
-    bsq_free(ctx, exact->tree_memory);
-    bsq_free(ctx, exact->points);
-    bsq_free(ctx, (void *)exact->loads);
+    BSQ_FREE(ctx, exact->tree_memory, exact->points, (void *)exact->loads);
     fmt_tris_close(exact->file);
     bsq_free(ctx, exact);
 }

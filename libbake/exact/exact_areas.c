@@ -17,9 +17,8 @@ int bake_exact_note_areas(struct bake_exact *exact)
     uint32_t points = MOST_POINTS / exact->chunk_count;
     points = points > MOST_OF_CHUNK ? MOST_OF_CHUNK : points;
     exact->chunk_points = points < LEAST_OF_CHUNK ? LEAST_OF_CHUNK : points;
-    int status = bsq_calloc(exact->ctx, "points of the scan",
-                            (uint64_t)exact->chunk_count * exact->chunk_points,
-                            sizeof *exact->points, &exact->points);
+    int status = BSQ_CALLOC(exact->ctx, "points of the scan",
+                            (uint64_t)exact->chunk_count * exact->chunk_points, &exact->points);
     for (uint32_t c = 0; c < exact->chunk_count && status == 0; c++)
         exact->points[(uint64_t)c * exact->chunk_points].area = NOT_READ;
     return status;

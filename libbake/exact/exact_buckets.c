@@ -260,9 +260,7 @@ int bake_exact_sort_rays(const struct bake_exact *exact, const struct bake_ray_b
         bsq_alloc(ctx, "chunks near rays", threads, box8_count(exact) * sizeof *s.boxes, &s.boxes));
     BSQ_TRY(sort_rays(&s));
 done:
-    bsq_free(ctx, s.boxes);
-    bsq_free(ctx, s.numbers);
-    bsq_free(ctx, s.counts);
+    BSQ_FREE(ctx, s.boxes, s.numbers, s.counts);
     *count = s.count;
     return status;
 }

@@ -280,7 +280,7 @@ int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *par
 {
     struct bake_exact_look *look;
     *out = NULL;
-    int status = bsq_calloc(exact->ctx, "secondary rays", 1, sizeof *look, &look);
+    int status = BSQ_CALLOC(exact->ctx, "secondary rays", 1, &look);
     if (status < 0)
         return status;
     look->exact = exact;

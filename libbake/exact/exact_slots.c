@@ -92,7 +92,7 @@ int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint6
     const struct plan plan = plan_slots(exact, most, bsq_threads(ctx), memory);
     *out = (struct exact_slots){.count = plan.slots, .preparers = plan.preparers};
     int status = 0;
-    BSQ_TRY(bsq_calloc(ctx, "chunks in memory", plan.slots, sizeof *out->slots, &out->slots));
+    BSQ_TRY(BSQ_CALLOC(ctx, "chunks in memory", plan.slots, &out->slots));
     BSQ_TRY(bsq_alloc(ctx, "chunks in memory", plan.bytes, 1, &out->memory));
     char *at = out->memory;
     for (uint32_t s = 0; s < plan.slots; s++, at += sizes.slot) {
@@ -107,8 +107,7 @@ done:
 
 void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots)
 {
-    bsq_free(ctx, slots->memory);
-    bsq_free(ctx, slots->slots);
+    BSQ_FREE(ctx, slots->memory, slots->slots);
 }
 
 /* ---- chunks ---- */

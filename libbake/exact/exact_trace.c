@@ -193,8 +193,8 @@ static int list_blocks(struct wave *wave)
         const uint64_t end = wave->buckets->starts[wave->memory->slots.slots[s].number + 1];
         for (uint64_t at = wave->buckets->starts[wave->memory->slots.slots[s].number]; at < end;
              at += BLOCK) {
-            int status = bsq_grow(wave->exact->ctx, "blocks of rays", wave->block_count + 1,
-                                  sizeof *wave->blocks, &wave->blocks, &wave->block_capacity);
+            int status = BSQ_GROW(wave->exact->ctx, "blocks of rays", wave->block_count + 1,
+                                  &wave->blocks, &wave->block_capacity);
             if (status < 0)
                 return status;
             wave->blocks[wave->block_count++] =
@@ -272,7 +272,7 @@ static int run_waves(struct wave *wave)
 int bake_exact_sweep_create(struct bake_exact *exact, uint64_t most_rays,
                             struct bake_exact_sweep **out)
 {
-    const int status = bsq_calloc(exact->ctx, "chunks in memory", 1, sizeof **out, out);
+    const int status = BSQ_CALLOC(exact->ctx, "chunks in memory", 1, out);
     if (status == 0)
         **out = (struct bake_exact_sweep){.exact = exact, .most_rays = most_rays};
     return status;
@@ -302,15 +302,12 @@ static int trace_allocate(struct wave *wave, struct exact_buckets *buckets)
     const uint32_t chunks = wave->exact->chunk_count;
     int status = 0;
     buckets->capacity = exact_bucket_entries(wave->exact, rays);
-    BSQ_TRY(bsq_alloc(ctx, "rays by chunk", buckets->capacity, sizeof *buckets->bundles,
-                      &buckets->bundles));
-    BSQ_TRY(bsq_alloc(ctx, "rays by chunk", buckets->capacity, sizeof *buckets->found,
-                      &buckets->found));
-    BSQ_TRY(bsq_alloc(ctx, "rays by chunk", (uint64_t)chunks + 1, sizeof *buckets->starts,
-                      &buckets->starts));
-    BSQ_TRY(bsq_alloc(ctx, "rays by chunk", exact_bundles(rays) / EXACT_SORTED + 1,
-                      sizeof *buckets->around, &buckets->around));
-    BSQ_TRY(bsq_alloc(ctx, "locks", EXACT_LOCKS, sizeof *wave->locks, &wave->locks));
+    BSQ_TRY(BSQ_ALLOC(ctx, "rays by chunk", buckets->capacity, &buckets->bundles));
+    BSQ_TRY(BSQ_ALLOC(ctx, "rays by chunk", buckets->capacity, &buckets->found));
+    BSQ_TRY(BSQ_ALLOC(ctx, "rays by chunk", (uint64_t)chunks + 1, &buckets->starts));
+    BSQ_TRY(
+        BSQ_ALLOC(ctx, "rays by chunk", exact_bundles(rays) / EXACT_SORTED + 1, &buckets->around));
+    BSQ_TRY(BSQ_ALLOC(ctx, "locks", EXACT_LOCKS, &wave->locks));
     for (int i = 0; i < EXACT_LOCKS; i++)
         pthread_mutex_init(&wave->locks[i], NULL);
     /* Last, because they make do with little memory. */
@@ -368,12 +365,8 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_ray_batch *batc
 done:
     for (int i = 0; wave.locks && i < EXACT_LOCKS; i++)
         pthread_mutex_destroy(&wave.locks[i]);
-    bsq_free(ctx, wave.locks);
-    bsq_free(ctx, wave.blocks);
-    bsq_free(ctx, buckets.bundles);
-    bsq_free(ctx, buckets.found);
-    bsq_free(ctx, buckets.starts);
-    bsq_free(ctx, buckets.around);
+    BSQ_FREE(ctx, wave.locks, wave.blocks, buckets.bundles, buckets.found, buckets.starts,
+             buckets.around);
     bake_exact_slots_free(ctx, &own.slots);
     return status;
 }

@@ -114,10 +114,8 @@ static int make_layers(struct work *work)
         return 0; /* no texel is valid */
     work->cell = fmax(least, extent / MOST_LAYERS);
     work->layer_count = (uint32_t)(extent / work->cell) + 1;
-    BSQ_TRY(bsq_calloc(work->ctx, "layers of texels", work->layer_count, sizeof *work->ends,
-                       &work->ends));
-    BSQ_TRY(bsq_calloc(work->ctx, "layers of texels", work->layer_count, sizeof *work->next,
-                       &work->next));
+    BSQ_TRY(BSQ_CALLOC(work->ctx, "layers of texels", work->layer_count, &work->ends));
+    BSQ_TRY(BSQ_CALLOC(work->ctx, "layers of texels", work->layer_count, &work->next));
     BSQ_TRY(bake_image_bands(work->ctx, work->filter->image, BAND_ROWS, false, count_layers, work));
     for (uint32_t i = 1; i < work->layer_count; i++)
         work->ends[i] += work->ends[i - 1];
@@ -309,13 +307,11 @@ static int choose_window(struct work *work, uint32_t first, uint64_t most)
     count = before(work, work->end) - before(work, work->begin);
     if (count <= work->capacity)
         return 0;
-    bsq_free(work->ctx, work->points);
-    bsq_free(work->ctx, work->sorted);
+    BSQ_FREE(work->ctx, work->points, work->sorted);
     work->points = NULL;
     work->sorted = NULL;
     work->capacity = count;
-    int status =
-        bsq_alloc(work->ctx, "texels to filter", count, sizeof *work->points, &work->points);
+    int status = BSQ_ALLOC(work->ctx, "texels to filter", count, &work->points);
     return status < 0
                ? status
                : bsq_alloc(work->ctx, "texels to filter", count, sizeof(void *), &work->sorted);
@@ -359,9 +355,6 @@ int bake_filter(struct bsq_ctx *ctx, const struct bake_filter *filter)
         BSQ_TRY(bake_image_bands(ctx, filter->image, BAND_ROWS, true, take_results, &work));
 done:
     bsq_progress_end(ctx);
-    bsq_free(ctx, work.points);
-    bsq_free(ctx, work.sorted);
-    bsq_free(ctx, work.next);
-    bsq_free(ctx, work.ends);
+    BSQ_FREE(ctx, work.points, work.sorted, work.next, work.ends);
     return status;
 }

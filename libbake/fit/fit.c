@@ -181,13 +181,13 @@ static int fit_allocate(struct fit *fit)
 {
     struct bsq_ctx *ctx = fit->surface->ctx;
     int status;
-    BSQ_TRY(bsq_alloc(ctx, "distances", fit->count, sizeof *fit->probes, &fit->probes));
-    BSQ_TRY(bsq_alloc(ctx, "distances", fit->count, sizeof *fit->rays, &fit->rays));
-    BSQ_TRY(bsq_alloc(ctx, "distances", fit->count, sizeof *fit->hits, &fit->hits));
-    BSQ_TRY(bsq_alloc(ctx, "distances", fit->count, sizeof *fit->distances, &fit->distances));
-    BSQ_TRY(bsq_alloc(ctx, "distances", fit->count, sizeof *fit->reaches, &fit->reaches));
+    BSQ_TRY(BSQ_ALLOC(ctx, "distances", fit->count, &fit->probes));
+    BSQ_TRY(BSQ_ALLOC(ctx, "distances", fit->count, &fit->rays));
+    BSQ_TRY(BSQ_ALLOC(ctx, "distances", fit->count, &fit->hits));
+    BSQ_TRY(BSQ_ALLOC(ctx, "distances", fit->count, &fit->distances));
+    BSQ_TRY(BSQ_ALLOC(ctx, "distances", fit->count, &fit->reaches));
     if (fit->surface->sees)
-        BSQ_TRY(bsq_alloc(ctx, "distances", fit->count, sizeof *fit->objects, &fit->objects));
+        BSQ_TRY(BSQ_ALLOC(ctx, "distances", fit->count, &fit->objects));
 done:
     return status;
 }
@@ -247,11 +247,6 @@ int bake_fit(const struct bake_surface *surface, const struct bake_lowmesh *mesh
                  "nearest to the low-poly mesh is baked; a cage, or a shorter --front, chooses",
                  100 * layers, bake_fit_scan(&fit), reach);
 done:
-    bsq_free(surface->ctx, fit.objects);
-    bsq_free(surface->ctx, fit.reaches);
-    bsq_free(surface->ctx, fit.distances);
-    bsq_free(surface->ctx, fit.hits);
-    bsq_free(surface->ctx, fit.rays);
-    bsq_free(surface->ctx, fit.probes);
+    BSQ_FREE(surface->ctx, fit.objects, fit.reaches, fit.distances, fit.hits, fit.rays, fit.probes);
     return status;
 }

@@ -272,7 +272,7 @@ int bake_fit_judge(struct fit *fit, bool *fits)
     if (now->distance < DOUBT && now->near > 1 - FAR)
         return 0;
     BSQ_TRY(judge_inverted(fit));
-    BSQ_TRY(bsq_alloc(ctx, "poses", MOST_POSES, sizeof *fit->poses, &fit->poses));
+    BSQ_TRY(BSQ_ALLOC(ctx, "poses", MOST_POSES, &fit->poses));
     list_poses(fit);
     BSQ_TRY(score_poses(fit));
     const struct pose *best = best_pose(fit);

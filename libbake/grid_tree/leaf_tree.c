@@ -155,8 +155,8 @@ static struct pending get_pending(const struct bake_tree_node *node)
 static int leaves_append(struct builder *builder, const struct range *ranges, uint32_t count)
 {
     struct bake_tree *tree = builder->tree;
-    int status = bsq_grow(builder->ctx, "tree of leaves", tree->count + count, sizeof *tree->nodes,
-                          &tree->nodes, &tree->capacity);
+    int status = BSQ_GROW(builder->ctx, "tree of leaves", tree->count + count, &tree->nodes,
+                          &tree->capacity);
     for (uint32_t i = 0; status == 0 && i < count; i++) {
         const struct pending pending = {.range = ranges[i]};
         struct bake_tree_node *node = &tree->nodes[tree->count++];
@@ -352,9 +352,8 @@ int bake_tree_build(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, struc
 
     *tree = (struct bake_tree){0};
     BSQ_TRY(check_extent(ctx, grid));
-    BSQ_TRY(bsq_alloc(ctx, "leaves", grid->leaf_count, sizeof *builder.leaves, &builder.leaves));
-    BSQ_TRY(
-        bsq_alloc(ctx, "blocks of leaves", grid->leaf_count, sizeof *tree->blocks, &tree->blocks));
+    BSQ_TRY(BSQ_ALLOC(ctx, "leaves", grid->leaf_count, &builder.leaves));
+    BSQ_TRY(BSQ_ALLOC(ctx, "blocks of leaves", grid->leaf_count, &tree->blocks));
     BSQ_TRY(list_leaves(&builder));
     status = builder.leaf_count > 0 ? add_nodes(&builder) : add_empty_root(&builder);
 done:
@@ -366,7 +365,6 @@ done:
 
 void bake_tree_free(struct bsq_ctx *ctx, struct bake_tree *tree)
 {
-    bsq_free(ctx, tree->nodes);
-    bsq_free(ctx, tree->blocks);
+    BSQ_FREE(ctx, tree->nodes, tree->blocks);
     *tree = (struct bake_tree){0};
 }

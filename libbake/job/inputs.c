@@ -248,7 +248,7 @@ static int begin_tiles(struct bake_work *job)
     const struct bake_low_set *sets = job->mesh.sets;
     int status = 0;
     BSQ_TRY(bake_udim_find(job->ctx, job->options, &job->mesh, &job->udim));
-    BSQ_TRY(bsq_calloc(job->ctx, "tiles", job->udim.count, sizeof *job->tiles, &job->tiles));
+    BSQ_TRY(BSQ_CALLOC(job->ctx, "tiles", job->udim.count, &job->tiles));
     for (uint32_t i = 0; i < job->udim.count; ++i)
         BSQ_TRY(begin_tile(job->ctx, job->options, job->maps,
                            sets ? &sets[job->udim.tiles[i].set] : NULL, &job->udim.tiles[i],
@@ -267,7 +267,7 @@ static int open_skew(struct bake_work *job)
     uint32_t *numbers;
     if (!job->options->skew_path)
         return 0;
-    int status = bsq_alloc(job->ctx, "tiles", count, sizeof *numbers, &numbers);
+    int status = BSQ_ALLOC(job->ctx, "tiles", count, &numbers);
     if (status < 0)
         return status;
     for (uint32_t i = 0; i < count; ++i)
@@ -419,8 +419,7 @@ static int match_objects(struct bake_work *job)
 {
     const uint32_t scans = job->surface.scan_count, objects = job->mesh.objects.count;
     int status = 0;
-    BSQ_TRY(
-        bsq_calloc(job->ctx, "matches", (uint64_t)objects * scans, sizeof *job->sees, &job->sees));
+    BSQ_TRY(BSQ_CALLOC(job->ctx, "matches", (uint64_t)objects * scans, &job->sees));
     for (uint32_t o = 0; o < objects; o++) {
         if (o % 1024 == 0)
             BSQ_TRY(bsq_check(job->ctx));

@@ -109,8 +109,7 @@ static void end_tile(struct bsq_ctx *ctx, struct bake_tile *tile)
 {
     bake_raster_free(tile->raster);
     bake_image_free(tile->image);
-    bsq_free(ctx, (void *)(uintptr_t)tile->blocks.slots);
-    bsq_free(ctx, tile->shares);
+    BSQ_FREE(ctx, (void *)(uintptr_t)tile->blocks.slots, tile->shares);
     bake_map_files_discard(tile->files);
     bake_thumbnail_free(ctx, &tile->normal);
     bake_thumbnail_free(ctx, &tile->color);
@@ -128,9 +127,7 @@ static void job_end(struct bake_work *job)
     bsq_free(job->ctx, job->tiles);
     bsq_output_discard(job->preview);
     bake_asset_discard(job->asset);
-    bsq_free(job->ctx, job->preview_tiles);
-    bsq_free(job->ctx, job->scan_names);
-    bsq_free(job->ctx, job->sees);
+    BSQ_FREE(job->ctx, job->preview_tiles, job->scan_names, job->sees);
     fmt_textures_close(job->skew);
     bake_udim_free(job->ctx, &job->udim);
     bake_lowmesh_free(job->ctx, &job->mesh);
@@ -145,7 +142,7 @@ static int job_begin(struct bsq_ctx *ctx, const struct bake_options *options,
     *out = NULL;
     if (bsq_clear_report(ctx, "bake_report", report, sizeof *report) < 0)
         return BSQ_EUSAGE;
-    int status = bsq_calloc(ctx, "job", 1, sizeof *job, &job);
+    int status = BSQ_CALLOC(ctx, "job", 1, &job);
     *out = job;
     if (status < 0)
         return status;

@@ -266,8 +266,7 @@ int bake_write_maps(struct bake_work *job)
     const uint32_t side = preview_texture_side(job);
     uint64_t *limited = NULL;
     int status = 0;
-    BSQ_TRY(bsq_calloc(job->ctx, "maps", bake_files_end(job->options, job->maps), sizeof *limited,
-                       &limited));
+    BSQ_TRY(BSQ_CALLOC(job->ctx, "maps", bake_files_end(job->options, job->maps), &limited));
     for (uint32_t i = 0; i < job->udim.count; ++i)
         if (!job->tiles[i].skipped)
             BSQ_TRY(write_tile(job, &job->tiles[i], side, limited));
@@ -320,8 +319,7 @@ int bake_write_preview(struct bake_work *job)
         return 0;
     const char *path =
         job->options->preview_path ? job->options->preview_path : job->options->page->path;
-    int status = bsq_calloc(job->ctx, "preview", job->udim.count, sizeof *job->preview_tiles,
-                            &job->preview_tiles);
+    int status = BSQ_CALLOC(job->ctx, "preview", job->udim.count, &job->preview_tiles);
     if (status < 0)
         return status;
     for (uint32_t i = 0; i < job->udim.count; ++i)

@@ -248,8 +248,7 @@ int bake_part_write(const struct bake_work *job, const struct bake_channels *cha
     }
 done:
     fmt_image_discard(writer);
-    bsq_free(ctx, writing.row);
-    bsq_free(ctx, writing.block_row);
+    BSQ_FREE(ctx, writing.row, writing.block_row);
     free(path);
     return status;
 }

@@ -419,10 +419,10 @@ int bake_take_parts(struct bake_work *job)
     int status;
     BSQ_TRY(bake_name_channels(job, &of.channels));
     BSQ_TRY(prepare(job));
-    BSQ_TRY(bsq_alloc(job->ctx, "parts", parts, sizeof *of.boxes, &of.boxes));
-    BSQ_TRY(bsq_alloc(job->ctx, "parts", parts, sizeof *of.list, &of.list));
-    BSQ_TRY(bsq_alloc(job->ctx, "parts", parts, sizeof *of.missing, &of.missing));
-    BSQ_TRY(bsq_calloc(job->ctx, "parts", parts, sizeof *of.seen, &of.seen));
+    BSQ_TRY(BSQ_ALLOC(job->ctx, "parts", parts, &of.boxes));
+    BSQ_TRY(BSQ_ALLOC(job->ctx, "parts", parts, &of.list));
+    BSQ_TRY(BSQ_ALLOC(job->ctx, "parts", parts, &of.missing));
+    BSQ_TRY(BSQ_CALLOC(job->ctx, "parts", parts, &of.seen));
     BSQ_TRY(read_tiles(&of));
     snprintf(job->report->device, sizeof job->report->device, "%u part%s", parts,
              parts == 1 ? "" : "s");
@@ -432,10 +432,7 @@ int bake_take_parts(struct bake_work *job)
     }
     bake_end_tracing(job);
 done:
-    bsq_free(job->ctx, of.seen);
-    bsq_free(job->ctx, of.missing);
-    bsq_free(job->ctx, of.list);
-    bsq_free(job->ctx, of.boxes);
+    BSQ_FREE(job->ctx, of.seen, of.missing, of.list, of.boxes);
     bake_free_channels(&of.channels);
     return status;
 }

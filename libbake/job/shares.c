@@ -44,8 +44,7 @@ static int cut_tile(struct bake_work *job, uint32_t side, struct bake_tile *tile
     blocks->columns = (tile->options.width - 1) / side + 1;
     blocks->rows = (tile->options.height - 1) / side + 1;
     count = (uint64_t)blocks->columns * blocks->rows;
-    int status =
-        bsq_alloc(job->ctx, "blocks of a tile", count, sizeof *tile->shares, &tile->shares);
+    int status = BSQ_ALLOC(job->ctx, "blocks of a tile", count, &tile->shares);
     for (uint64_t b = 0; status == 0 && b < count; b++)
         tile->shares[b] = NO_SHARE;
     return status;
@@ -128,8 +127,7 @@ static int count_tile(struct bake_work *job, uint32_t tile, uint32_t **samples,
     bake_raster_kernel_triangles(raster, job->surface.translation, job->surface.unit,
                                  job->triangles);
     const uint32_t found = bake_raster_patch_count(raster);
-    BSQ_TRY(bsq_grow(job->ctx, "blocks", list->count + found, sizeof *list->blocks, &list->blocks,
-                     &list->capacity));
+    BSQ_TRY(BSQ_GROW(job->ctx, "blocks", list->count + found, &list->blocks, &list->capacity));
     if (found == 0)
         goto done;
     struct bake_share_block *added = list->blocks + list->count;
@@ -200,10 +198,9 @@ int bake_divide(struct bake_work *job)
     struct block_list list = {0};
     uint32_t **samples;
     int status;
-    BSQ_TRY(bsq_calloc(job->ctx, "samples of blocks", workers, sizeof *samples, &samples));
+    BSQ_TRY(BSQ_CALLOC(job->ctx, "samples of blocks", workers, &samples));
     for (unsigned w = 0; w < workers; w++)
-        BSQ_TRY(bsq_alloc(job->ctx, "samples of blocks", LARGEST_SIDE * LARGEST_SIDE,
-                          sizeof **samples, &samples[w]));
+        BSQ_TRY(BSQ_ALLOC(job->ctx, "samples of blocks", LARGEST_SIDE * LARGEST_SIDE, &samples[w]));
     BSQ_TRY(bake_arrange_triangles(job));
     BSQ_TRY(bake_cut_blocks(job));
     for (uint32_t t = 0; t < job->udim.count; t++)
@@ -213,8 +210,7 @@ int bake_divide(struct bake_work *job)
 done:
     for (unsigned w = 0; samples && w < workers; w++)
         bsq_free(job->ctx, samples[w]);
-    bsq_free(job->ctx, samples);
-    bsq_free(job->ctx, list.blocks);
+    BSQ_FREE(job->ctx, samples, list.blocks);
     return status;
 }
 
@@ -223,7 +219,7 @@ int bake_take_share(struct bake_work *job, struct bake_tile *tile)
     struct bake_blocks *blocks = &tile->blocks;
     const uint64_t count = (uint64_t)blocks->columns * blocks->rows;
     uint32_t *slots;
-    int status = bsq_alloc(job->ctx, "blocks of a tile", count, sizeof *slots, &slots);
+    int status = BSQ_ALLOC(job->ctx, "blocks of a tile", count, &slots);
     if (status < 0)
         return status;
     tile->in_blocks = true;

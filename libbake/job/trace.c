@@ -47,8 +47,8 @@ int bake_arrange_triangles(struct bake_work *job)
         return status;
     const struct bake_udim_tile *last = &job->udim.tiles[job->udim.count - 1];
     job->triangle_count = (uint32_t)(last->first + last->count);
-    return bsq_calloc(job->ctx, "triangles of the low-poly mesh", job->triangle_count,
-                      sizeof *job->triangles, &job->triangles);
+    return BSQ_CALLOC(job->ctx, "triangles of the low-poly mesh", job->triangle_count,
+                      &job->triangles);
 }
 
 int bake_rasterise(struct bake_work *job)
@@ -252,9 +252,9 @@ static int objects_of(const void *arg, uint32_t x, uint32_t y, uint32_t width, u
     const uint64_t texels = (uint64_t)of->tile->patch_side * of->tile->patch_side;
     uint32_t *triangles;
     memset(out, 0xff, (size_t)width * height * sizeof *out);
-    int status = bsq_alloc(of->job->ctx, "samples of a patch",
-                           texels * bake_raster_texel_entries(&of->job->surface.params),
-                           sizeof *triangles, &triangles);
+    int status =
+        BSQ_ALLOC(of->job->ctx, "samples of a patch",
+                  texels * bake_raster_texel_entries(&of->job->surface.params), &triangles);
     for (uint32_t i = 0; i < bake_raster_patch_count(of->tile->raster) && status == 0; i++)
         status = take_samples(&window, i, triangles);
     bsq_free(of->job->ctx, triangles);

@@ -95,7 +95,7 @@ int bake_mean_normals(struct bsq_ctx *ctx, bool by_area, uint32_t corners,
                       const uint32_t *firsts, float (*out)[3])
 {
     struct shared_corner *shared;
-    int status = bsq_calloc(ctx, "corners in one place", corners, sizeof *shared, &shared);
+    int status = BSQ_CALLOC(ctx, "corners in one place", corners, &shared);
     if (status == 0)
         status = smooth(ctx, by_area, corners, positions, normals, firsts, shared, out);
     bsq_free(ctx, shared);
@@ -159,8 +159,8 @@ int bake_ray_directions(struct bsq_ctx *ctx, enum bake_rays rays, uint64_t count
     uint32_t *firsts = NULL;
     struct shared_corner *shared = NULL;
     int status = 0;
-    BSQ_TRY(bsq_alloc(ctx, "corners in one place", corners, sizeof *firsts, &firsts));
-    BSQ_TRY(bsq_calloc(ctx, "corners in one place", corners, sizeof *shared, &shared));
+    BSQ_TRY(BSQ_ALLOC(ctx, "corners in one place", corners, &firsts));
+    BSQ_TRY(BSQ_CALLOC(ctx, "corners in one place", corners, &shared));
     BSQ_TRY(bake_mikkt_weld(ctx, &input, firsts));
     memcpy(out, normals, count * sizeof *out);
     if (rays == BAKE_RAYS_SMOOTH)
@@ -171,8 +171,7 @@ int bake_ray_directions(struct bsq_ctx *ctx, enum bake_rays rays, uint64_t count
     set_reaches(count, positions, normals, firsts, shared, reaches);
     status = bsq_check(ctx);
 done:
-    bsq_free(ctx, shared);
-    bsq_free(ctx, firsts);
+    BSQ_FREE(ctx, shared, firsts);
     return status;
 }
 

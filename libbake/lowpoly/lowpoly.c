@@ -185,14 +185,12 @@ static int add_names(struct bsq_ctx *ctx, struct names *names, const char *path,
     uint32_t(*numbers)[2] = NULL;
     int status = 0;
     BSQ_TRY(copy_stem(ctx, path, &stem));
-    BSQ_TRY(
-        bsq_alloc(ctx, "names", mesh->materials.count + UINT64_C(1), sizeof *numbers, &numbers));
-    BSQ_TRY(bsq_grow(ctx, "names of triangles", names->count + mesh->triangle_count,
-                     sizeof *names->of, &names->of, &names->capacity));
+    BSQ_TRY(BSQ_ALLOC(ctx, "names", mesh->materials.count + UINT64_C(1), &numbers));
+    BSQ_TRY(BSQ_GROW(ctx, "names of triangles", names->count + mesh->triangle_count, &names->of,
+                     &names->capacity));
     BSQ_TRY(lowpoly_add_triangles(ctx, names, stem, mesh, numbers));
 done:
-    bsq_free(ctx, numbers);
-    bsq_free(ctx, stem);
+    BSQ_FREE(ctx, numbers, stem);
     return status;
 }
 
@@ -237,8 +235,8 @@ static int make_sets(struct bsq_ctx *ctx, const struct bake_options *options,
             mesh->sets[mesh->set_count - 1].count++;
             continue;
         }
-        status = bsq_grow(ctx, "sets of maps", mesh->set_count + UINT64_C(1), sizeof *mesh->sets,
-                          &mesh->sets, &capacity);
+        status =
+            BSQ_GROW(ctx, "sets of maps", mesh->set_count + UINT64_C(1), &mesh->sets, &capacity);
         if (status == 0)
             mesh->sets[mesh->set_count++] = (struct bake_low_set){
                 .object = object_maps(options) ? mesh->objects.list[owned[i].object] : NULL,
@@ -256,8 +254,8 @@ static int sort_by_set(struct bsq_ctx *ctx, const struct bake_options *options,
     struct owned *owned = NULL;
     uint32_t *order = NULL;
     int status = 0;
-    BSQ_TRY(bsq_alloc(ctx, "sets of maps", count, sizeof *owned, &owned));
-    BSQ_TRY(bsq_alloc(ctx, "sets of maps", count, sizeof *order, &order));
+    BSQ_TRY(BSQ_ALLOC(ctx, "sets of maps", count, &owned));
+    BSQ_TRY(BSQ_ALLOC(ctx, "sets of maps", count, &order));
     for (uint64_t t = 0; t < count; t++)
         owned[t] = (struct owned){object_maps(options) ? names->of[t][0] : 0,
                                   material_maps(options) ? names->of[t][1] : 0, (uint32_t)t};
@@ -268,8 +266,7 @@ static int sort_by_set(struct bsq_ctx *ctx, const struct bake_options *options,
     if (mesh->set_count > 1)
         BSQ_TRY(bake_lowmesh_reorder(ctx, order, count, mesh));
 done:
-    bsq_free(ctx, order);
-    bsq_free(ctx, owned);
+    BSQ_FREE(ctx, order, owned);
     return status;
 }
 
@@ -285,8 +282,7 @@ static int apply_names(struct bsq_ctx *ctx, const struct bake_options *options, 
     names->objects = names->materials = (struct bsq_texts){0};
     names->tally = (struct bsq_tally){0};
     if (options->match_names)
-        status = bsq_alloc(ctx, "objects of triangles", mesh->triangle_count,
-                           sizeof *mesh->object_of, &mesh->object_of);
+        status = BSQ_ALLOC(ctx, "objects of triangles", mesh->triangle_count, &mesh->object_of);
     for (uint64_t t = 0; t < mesh->triangle_count && options->match_names && status == 0; t++)
         mesh->object_of[t] = names->of[t][0];
     if (status == 0 && (object_maps(options) || material_maps(options)))
@@ -404,8 +400,7 @@ static int find_firsts(struct bsq_ctx *ctx, const struct fmt_mesh *mesh,
     uint32_t *first_of;
     if (mesh->split_vertices)
         return bake_mikkt_weld(ctx, &input, firsts);
-    int status =
-        bsq_alloc(ctx, "corners of vertices", mesh->vertex_count, sizeof *first_of, &first_of);
+    int status = BSQ_ALLOC(ctx, "corners of vertices", mesh->vertex_count, &first_of);
     if (status < 0)
         return status;
     memset(first_of, 0xff, mesh->vertex_count * sizeof *first_of);
@@ -426,9 +421,9 @@ static int smooth_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, bool
     float(*positions)[3][3] = NULL, (*smooth)[3][3] = NULL;
     uint32_t *firsts = NULL;
     int status = 0;
-    BSQ_TRY(bsq_alloc(ctx, "smooth normals", count, sizeof *positions, &positions));
-    BSQ_TRY(bsq_alloc(ctx, "smooth normals", count, sizeof *smooth, &smooth));
-    BSQ_TRY(bsq_alloc(ctx, "smooth normals", 3 * count, sizeof *firsts, &firsts));
+    BSQ_TRY(BSQ_ALLOC(ctx, "smooth normals", count, &positions));
+    BSQ_TRY(BSQ_ALLOC(ctx, "smooth normals", count, &smooth));
+    BSQ_TRY(BSQ_ALLOC(ctx, "smooth normals", 3 * count, &firsts));
     copy_floats(out, positions);
     BSQ_TRY(find_firsts(ctx, mesh, (const float(*)[3][3])positions, firsts));
     BSQ_TRY(bake_mean_normals(ctx, by_area, (uint32_t)(3 * count), positions[0],
@@ -437,9 +432,7 @@ static int smooth_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, bool
         if (!mesh->corner_normals || mesh->corner_normals[c / 3][c % 3] == UINT32_MAX)
             memcpy(out->normals[c / 3][c % 3], smooth[c / 3][c % 3], sizeof **smooth);
 done:
-    bsq_free(ctx, firsts);
-    bsq_free(ctx, smooth);
-    bsq_free(ctx, positions);
+    BSQ_FREE(ctx, firsts, smooth, positions);
     return status;
 }
 
@@ -484,8 +477,7 @@ static int compute_frames(struct bsq_ctx *ctx, const struct bake_options *option
                           struct bake_lowmesh *mesh)
 {
     float(*positions)[3][3] = NULL;
-    int status =
-        bsq_alloc(ctx, "tangent positions", mesh->triangle_count, sizeof(*positions), &positions);
+    int status = BSQ_ALLOC(ctx, "tangent positions", mesh->triangle_count, &positions);
     if (status < 0)
         return status;
     copy_floats(mesh, positions);
@@ -623,14 +615,8 @@ double bake_lowmesh_area(const struct bake_lowmesh *mesh, uint64_t triangle)
 
 void bake_lowmesh_free(struct bsq_ctx *ctx, struct bake_lowmesh *mesh)
 {
-    bsq_free(ctx, mesh->positions);
-    bsq_free(ctx, mesh->normals);
-    bsq_free(ctx, mesh->texcoords);
-    bsq_free(ctx, mesh->tangents);
-    bsq_free(ctx, mesh->directions);
-    bsq_free(ctx, mesh->reaches);
-    bsq_free(ctx, mesh->object_of);
-    bsq_free(ctx, mesh->sets);
+    BSQ_FREE(ctx, mesh->positions, mesh->normals, mesh->texcoords, mesh->tangents, mesh->directions,
+             mesh->reaches, mesh->object_of, mesh->sets);
     bsq_texts_free(&mesh->objects);
     bsq_texts_free(&mesh->materials);
     bsq_tally_release(ctx, &mesh->names);

@@ -98,7 +98,7 @@ int bake_mikkt_weld(struct bsq_ctx *ctx, const struct mikkt_input *input, uint32
     uint64_t capacity = 16, steps = 0; /* a mesh can be made so that hashes collide */
     while (capacity < 2 * (uint64_t)input->corner_count)
         capacity *= 2;
-    int status = bsq_alloc(ctx, "vertex table", capacity, sizeof(*table), &table);
+    int status = BSQ_ALLOC(ctx, "vertex table", capacity, &table);
     if (status < 0)
         return status;
     memset(table, 0xff, capacity * sizeof(*table));
@@ -192,9 +192,9 @@ static int find_twins(struct bsq_ctx *ctx, const struct mikkt_input *input,
     const uint32_t corner_count = input->corner_count;
     uint32_t *by_high = NULL, *by_both = NULL, *starts = NULL;
     int status = 0;
-    BSQ_TRY(bsq_alloc(ctx, "edge order", corner_count, sizeof(*by_high), &by_high));
-    BSQ_TRY(bsq_alloc(ctx, "edge order", corner_count, sizeof(*by_both), &by_both));
-    BSQ_TRY(bsq_alloc(ctx, "edge order", (uint64_t)corner_count + 1, sizeof(*starts), &starts));
+    BSQ_TRY(BSQ_ALLOC(ctx, "edge order", corner_count, &by_high));
+    BSQ_TRY(BSQ_ALLOC(ctx, "edge order", corner_count, &by_both));
+    BSQ_TRY(BSQ_ALLOC(ctx, "edge order", (uint64_t)corner_count + 1, &starts));
     sort_edges(corner_count, vertices, true, NULL, by_high, starts);
     BSQ_TRY(bsq_check(ctx));
     sort_edges(corner_count, vertices, false, by_high, by_both, starts);
@@ -202,9 +202,7 @@ static int find_twins(struct bsq_ctx *ctx, const struct mikkt_input *input,
     memset(twins, 0xff, (size_t)corner_count * sizeof(*twins));
     pair_sorted(input, vertices, by_both, twins);
 done:
-    bsq_free(ctx, starts);
-    bsq_free(ctx, by_both);
-    bsq_free(ctx, by_high);
+    BSQ_FREE(ctx, starts, by_both, by_high);
     return status;
 }
 
@@ -407,17 +405,14 @@ int bake_mikkt(struct bsq_ctx *ctx, uint64_t count, const float (*positions)[3][
                          .out = out[0]};
     const uint64_t corners = s.input.corner_count;
     int status = 0;
-    BSQ_TRY(bsq_alloc(ctx, "welded vertices", corners, sizeof(*s.vertices), &s.vertices));
-    BSQ_TRY(bsq_alloc(ctx, "edge twins", corners, sizeof(*s.twins), &s.twins));
-    BSQ_TRY(bsq_alloc(ctx, "triangle flags", count, sizeof(*s.flags), &s.flags));
-    BSQ_TRY(bsq_alloc(ctx, "triangle tangents", count, sizeof(*s.tangents), &s.tangents));
+    BSQ_TRY(BSQ_ALLOC(ctx, "welded vertices", corners, &s.vertices));
+    BSQ_TRY(BSQ_ALLOC(ctx, "edge twins", corners, &s.twins));
+    BSQ_TRY(BSQ_ALLOC(ctx, "triangle flags", count, &s.flags));
+    BSQ_TRY(BSQ_ALLOC(ctx, "triangle tangents", count, &s.tangents));
     BSQ_TRY(bake_mikkt_weld(ctx, &s.input, s.vertices));
     BSQ_TRY(find_twins(ctx, &s.input, s.vertices, s.twins));
     BSQ_TRY(compute(ctx, &s));
 done:
-    bsq_free(ctx, s.tangents);
-    bsq_free(ctx, s.flags);
-    bsq_free(ctx, s.twins);
-    bsq_free(ctx, s.vertices);
+    BSQ_FREE(ctx, s.tangents, s.flags, s.twins, s.vertices);
     return status;
 }

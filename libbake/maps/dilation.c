@@ -357,15 +357,13 @@ static int dilation_allocate(struct bake_dilation *dilation, const char *beside)
     if (!in_memory)
         BSQ_TRY(bsq_alloc(ctx, "band of the map", dilation->band_rows, row_bytes,
                           &dilation->band_buffer));
-    BSQ_TRY(bsq_alloc(ctx, "padding", (uint64_t)dilation->band_rows * width,
-                      sizeof *dilation->slots, &dilation->slots));
-    BSQ_TRY(bsq_calloc(ctx, "padding", bsq_threads(ctx), sizeof *dilation->scratch,
-                       &dilation->scratch));
+    BSQ_TRY(BSQ_ALLOC(ctx, "padding", (uint64_t)dilation->band_rows * width, &dilation->slots));
+    BSQ_TRY(BSQ_CALLOC(ctx, "padding", bsq_threads(ctx), &dilation->scratch));
     for (unsigned w = 0; w < bsq_threads(ctx); ++w) {
         struct scratch *scratch = &dilation->scratch[w];
-        BSQ_TRY(bsq_alloc(ctx, "padding", width, sizeof *scratch->site, &scratch->site));
-        BSQ_TRY(bsq_alloc(ctx, "padding", width, sizeof *scratch->start, &scratch->start));
-        BSQ_TRY(bsq_alloc(ctx, "padding", width, sizeof *scratch->sources, &scratch->sources));
+        BSQ_TRY(BSQ_ALLOC(ctx, "padding", width, &scratch->site));
+        BSQ_TRY(BSQ_ALLOC(ctx, "padding", width, &scratch->start));
+        BSQ_TRY(BSQ_ALLOC(ctx, "padding", width, &scratch->sources));
     }
 done:
     return status;
@@ -377,7 +375,7 @@ int bake_dilation_create(struct bsq_ctx *ctx, const struct bake_image *image, ui
     struct bake_dilation *dilation = NULL;
     int status;
     *out = NULL;
-    BSQ_TRY(bsq_calloc(ctx, "padding", 1, sizeof *dilation, &dilation));
+    BSQ_TRY(BSQ_CALLOC(ctx, "padding", 1, &dilation));
     dilation->ctx = ctx;
     dilation->image = image;
     dilation->width = image->width;
@@ -401,15 +399,11 @@ void bake_dilation_free(struct bake_dilation *dilation)
         return;
     struct bsq_ctx *ctx = dilation->ctx;
     for (unsigned w = 0; dilation->scratch && w < bsq_threads(ctx); ++w) {
-        bsq_free(ctx, dilation->scratch[w].site);
-        bsq_free(ctx, dilation->scratch[w].start);
-        bsq_free(ctx, (void *)dilation->scratch[w].sources);
+        BSQ_FREE(ctx, dilation->scratch[w].site, dilation->scratch[w].start,
+                 (void *)dilation->scratch[w].sources);
     }
-    bsq_free(ctx, dilation->scratch);
-    bsq_free(ctx, dilation->slots);
-    bsq_free(ctx, dilation->band_buffer);
-    bsq_free(ctx, dilation->above);
-    bsq_free(ctx, dilation->below_buffer);
+    BSQ_FREE(ctx, dilation->scratch, dilation->slots, dilation->band_buffer, dilation->above,
+             dilation->below_buffer);
     bake_image_free(dilation->carried);
     bsq_free(ctx, dilation);
 }

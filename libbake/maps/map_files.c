@@ -176,8 +176,7 @@ static int begin_pack(struct bsq_ctx *ctx, const struct bake_options *options, u
     struct bake_packed packed[BAKE_MAX_PACKED];
     if (file->number < bake_selection_end(maps))
         return 0;
-    int status = bsq_calloc(ctx, "packed maps", BAKE_MAX_PACKED, sizeof *file->components,
-                            &file->components);
+    int status = BSQ_CALLOC(ctx, "packed maps", BAKE_MAX_PACKED, &file->components);
     if (status < 0)
         return status;
     const unsigned number = file->number - bake_selection_end(maps);
@@ -194,7 +193,7 @@ int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options,
     struct bake_map_files *files = NULL;
     int status;
     *out = NULL;
-    BSQ_TRY(bsq_calloc(ctx, "map files", 1, sizeof *files, &files));
+    BSQ_TRY(BSQ_CALLOC(ctx, "map files", 1, &files));
     files->ctx = ctx;
     files->options = options;
     files->traced = *traced;
@@ -202,8 +201,7 @@ int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options,
     files->beside = bake_path_of(options, bake_first_of(maps));
     if (!files->beside)
         BSQ_TRY(bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path));
-    BSQ_TRY(bsq_calloc(ctx, "map files", bake_files_end(options, maps), sizeof *files->files,
-                       &files->files));
+    BSQ_TRY(BSQ_CALLOC(ctx, "map files", bake_files_end(options, maps), &files->files));
     for (unsigned i = 0; i < bake_files_end(options, maps); ++i)
         if (bake_has_file(options, maps, i)) {
             struct map_file *file = &files->files[files->count++];
@@ -505,6 +503,5 @@ void bake_map_files_discard(struct bake_map_files *files)
         bsq_free(files->ctx, files->files[i].components);
     }
     free(files->beside);
-    bsq_free(files->ctx, files->files);
-    bsq_free(files->ctx, files);
+    BSQ_FREE(files->ctx, files->files, files);
 }

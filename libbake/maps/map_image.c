@@ -30,7 +30,7 @@ int bake_image_create(struct bsq_ctx *ctx, const struct bake_image_options *opti
 {
     *out = NULL;
     struct bake_image *image;
-    int status = bsq_calloc(ctx, "map", 1, sizeof *image, &image);
+    int status = BSQ_CALLOC(ctx, "map", 1, &image);
     if (status < 0)
         return status;
     image->ctx = ctx;
@@ -53,8 +53,7 @@ void bake_image_free(struct bake_image *image)
     if (!image)
         return;
     bsq_file_close(image->ctx, &image->file);
-    bsq_free(image->ctx, image->samples);
-    bsq_free(image->ctx, image);
+    BSQ_FREE(image->ctx, image->samples, image);
 }
 
 uint32_t bake_image_channels_for(uint32_t maps)

@@ -47,7 +47,7 @@ int bake_patch_workers_begin(struct bsq_ctx *ctx, const struct bake_patches *pat
                                        .texel_floats = bk_texel_floats(maps),
                                        .maps = maps};
     bsq_progress_begin(ctx, "tracing", "texels", map_patches_count_texels(patches->raster));
-    BSQ_TRY(bsq_calloc(ctx, "workers", bsq_threads(ctx), sizeof *out->workers, &out->workers));
+    BSQ_TRY(BSQ_CALLOC(ctx, "workers", bsq_threads(ctx), &out->workers));
     for (unsigned w = 0; w < bsq_threads(ctx); w++) {
         struct bake_patch_worker *worker = &out->workers[w];
         BSQ_TRY(bsq_alloc(ctx, "samples of a patch",
@@ -107,9 +107,7 @@ void bake_patch_workers_end(struct bsq_ctx *ctx, struct bake_patch_workers *work
         report->hits += worker->hits;
         report->misses += worker->samples - worker->hits;
         report->overlapping_samples += worker->overlaps;
-        bsq_free(ctx, worker->sample_triangles);
-        bsq_free(ctx, worker->texels);
-        bsq_free(ctx, worker->resolved);
+        BSQ_FREE(ctx, worker->sample_triangles, worker->texels, worker->resolved);
     }
     bsq_free(ctx, workers->workers);
     workers->workers = NULL;

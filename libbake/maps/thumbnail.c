@@ -19,8 +19,8 @@ int bake_thumbnail_create(struct bsq_ctx *ctx, uint32_t full_width, uint32_t ful
     out->factor = (longest - 1) / side + 1;
     out->width = (full_width - 1) / out->factor + 1;
     out->height = (full_height - 1) / out->factor + 1;
-    return bsq_calloc(ctx, "texture of the preview", (uint64_t)out->width * out->height,
-                      sizeof *out->texels, &out->texels);
+    return BSQ_CALLOC(ctx, "texture of the preview", (uint64_t)out->width * out->height,
+                      &out->texels);
 }
 
 void bake_thumbnail_free(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail)

@@ -59,7 +59,7 @@ int bake_page_open(struct bsq_ctx *ctx, const char *path, struct bake_page **out
     if (length < 5 || strcasecmp(path + length - 5, ".html") != 0)
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: the report is a page: its name must end in .html",
                         path);
-    BSQ_TRY(bsq_calloc(ctx, "page", 1, sizeof *page, &page));
+    BSQ_TRY(BSQ_CALLOC(ctx, "page", 1, &page));
     page->ctx = ctx;
     page->path = path;
     BSQ_TRY(fmt_program_find(ctx, "../../share/bisque/report.html", "reports", frame));
@@ -215,7 +215,7 @@ int bake_page_take(void *user, const struct bake_rows *rows)
     while (picture && strcmp(picture->path, rows->path) != 0)
         picture = picture->next;
     if (!picture) {
-        BSQ_TRY(bsq_calloc(page->ctx, "page", 1, sizeof *picture, &picture));
+        BSQ_TRY(BSQ_CALLOC(page->ctx, "page", 1, &picture));
         picture->next = page->pictures;
         page->pictures = picture;
         picture->path = rows->path;

@@ -214,8 +214,7 @@ static int render_scan_panel(const struct bake_preview *preview, const struct pr
         bsq_progress_add(ctx, strip.rows);
     }
 done:
-    bsq_free(ctx, strip.hits);
-    bsq_free(ctx, strip.rays);
+    BSQ_FREE(ctx, strip.hits, strip.rays);
     return status;
 }
 
@@ -228,7 +227,7 @@ static int preview_allocate(struct rendering *r)
     int status = 0;
     BSQ_TRY(
         bsq_calloc(ctx, "preview", (uint64_t)r->width * r->side, 3 * sizeof(float), &r->pixels));
-    BSQ_TRY(bsq_calloc(ctx, "preview", bsq_threads(ctx), sizeof *r->bands, &r->bands));
+    BSQ_TRY(BSQ_CALLOC(ctx, "preview", bsq_threads(ctx), &r->bands));
     for (unsigned w = 0; w < bsq_threads(ctx); ++w) {
         BSQ_TRY(bsq_alloc(ctx, "preview", samples, sizeof(float), &r->bands[w].depth));
         BSQ_TRY(bsq_alloc(ctx, "preview", samples, sizeof(uint32_t), &r->bands[w].triangle));
@@ -240,11 +239,9 @@ done:
 static void preview_release(struct rendering *r)
 {
     for (unsigned w = 0; r->bands && w < bsq_threads(r->ctx); ++w) {
-        bsq_free(r->ctx, r->bands[w].depth);
-        bsq_free(r->ctx, r->bands[w].triangle);
+        BSQ_FREE(r->ctx, r->bands[w].depth, r->bands[w].triangle);
     }
-    bsq_free(r->ctx, r->bands);
-    bsq_free(r->ctx, r->pixels);
+    BSQ_FREE(r->ctx, r->bands, r->pixels);
 }
 
 /* Renders the panels of r->view. */

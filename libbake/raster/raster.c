@@ -331,10 +331,9 @@ static int number_patches(struct bake_raster *raster, uint64_t *counts)
     int status;
     for (uint64_t p = 0; p < places; p++)
         raster->patch_count += counts[p] > 0;
-    BSQ_TRY(bsq_alloc(raster->ctx, "patch numbers", raster->patch_count,
-                      sizeof *raster->patch_numbers, &raster->patch_numbers));
-    BSQ_TRY(bsq_alloc(raster->ctx, "patch lists", (uint64_t)raster->patch_count + 1,
-                      sizeof *raster->starts, &raster->starts));
+    BSQ_TRY(BSQ_ALLOC(raster->ctx, "patch numbers", raster->patch_count, &raster->patch_numbers));
+    BSQ_TRY(
+        BSQ_ALLOC(raster->ctx, "patch lists", (uint64_t)raster->patch_count + 1, &raster->starts));
     for (uint64_t p = 0; p < places; p++) {
         uint64_t count = counts[p];
         counts[p] = sum;
@@ -347,8 +346,7 @@ static int number_patches(struct bake_raster *raster, uint64_t *counts)
     raster->starts[patch] = sum;
     if (sum > bsq_memory_left(raster->ctx) / sizeof *raster->triangles)
         BSQ_TRY(fail_lists(raster, sum));
-    status =
-        bsq_alloc(raster->ctx, "patch lists", sum, sizeof *raster->triangles, &raster->triangles);
+    status = BSQ_ALLOC(raster->ctx, "patch lists", sum, &raster->triangles);
 done:
     return status;
 }
@@ -357,9 +355,8 @@ static int sort_into_patches(struct bake_raster *raster)
 {
     uint64_t *counts = NULL;
     int status;
-    BSQ_TRY(bsq_calloc(raster->ctx, "patch counts",
-                       (uint64_t)raster->patch_columns * raster->patch_rows, sizeof *counts,
-                       &counts));
+    BSQ_TRY(BSQ_CALLOC(raster->ctx, "patch counts",
+                       (uint64_t)raster->patch_columns * raster->patch_rows, &counts));
     BSQ_TRY(sort_triangles(raster, counts));
     BSQ_TRY(number_patches(raster, counts));
     status = raster->patch_count > 0 ? sort_triangles(raster, counts) : 0;
@@ -424,7 +421,7 @@ int bake_raster_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
     int status;
     *out = NULL;
     BSQ_TRY(raster_check_options(ctx, mesh, options));
-    BSQ_TRY(bsq_calloc(ctx, "raster", 1, sizeof *raster, &raster));
+    BSQ_TRY(BSQ_CALLOC(ctx, "raster", 1, &raster));
     raster->ctx = ctx;
     raster->mesh = mesh;
     raster->options = *options;
@@ -444,10 +441,7 @@ void bake_raster_free(struct bake_raster *raster)
     if (raster == NULL)
         return;
     struct bsq_ctx *ctx = raster->ctx;
-    bsq_free(ctx, raster->triangles);
-    bsq_free(ctx, raster->starts);
-    bsq_free(ctx, raster->patch_numbers);
-    bsq_free(ctx, raster);
+    BSQ_FREE(ctx, raster->triangles, raster->starts, raster->patch_numbers, raster);
 }
 
 /* ---- patches ---- */

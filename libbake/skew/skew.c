@@ -31,7 +31,7 @@ int bake_skew_open(struct bsq_ctx *ctx, const char *path, const uint32_t *tiles,
     struct fmt_texture_source *sources;
     uint64_t cache = bsq_memory_share(ctx, "skew map", 16);
     *out = NULL;
-    int status = bsq_calloc(ctx, "skew map", count, sizeof *sources, &sources);
+    int status = BSQ_CALLOC(ctx, "skew map", count, &sources);
     if (status < 0)
         return status;
     cache = cache < LEAST_CACHE ? LEAST_CACHE : cache > MOST_CACHE ? MOST_CACHE : cache;

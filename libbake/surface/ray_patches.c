@@ -583,13 +583,13 @@ static int allocate_patches(struct job *job)
     bool wanted = false;
     int status = 0;
     job->patch_count = bake_raster_patch_count(job->patches->raster);
-    BSQ_TRY(bsq_alloc(job->ctx, "patches", job->patch_count, sizeof *job->order, &job->order));
+    BSQ_TRY(BSQ_ALLOC(job->ctx, "patches", job->patch_count, &job->order));
     for (uint32_t s = 0; s < job->surface->scan_count; s++)
         wanted |= job->surface->scans[s].exact &&
                   bake_exact_wants_footprints(job->surface->scans[s].exact);
     if (wanted) {
-        BSQ_TRY(bsq_alloc(job->ctx, "footprints", job->patches->triangle_count,
-                          sizeof *job->footprint_table, &job->footprint_table));
+        BSQ_TRY(
+            BSQ_ALLOC(job->ctx, "footprints", job->patches->triangle_count, &job->footprint_table));
         measure_footprints(job);
     }
 done:
@@ -625,18 +625,18 @@ static int allocate_rays(struct job *job)
     const uint64_t n = job->seat_count * job->seat_rays;
     if (sweeps)
         BSQ_TRY(bake_exact_sweep_create(job->surface->scans->exact, n, &job->sweep));
-    BSQ_TRY(bsq_alloc(ctx, "patches", job->seat_count, sizeof *job->seated, &job->seated));
-    BSQ_TRY(bsq_alloc(ctx, "rays", n, sizeof *job->rays, &job->rays));
-    BSQ_TRY(bsq_alloc(ctx, "hits", n, sizeof *job->hits, &job->hits));
-    BSQ_TRY(bsq_alloc(ctx, "rays", n, sizeof *job->reaches, &job->reaches));
+    BSQ_TRY(BSQ_ALLOC(ctx, "patches", job->seat_count, &job->seated));
+    BSQ_TRY(BSQ_ALLOC(ctx, "rays", n, &job->rays));
+    BSQ_TRY(BSQ_ALLOC(ctx, "hits", n, &job->hits));
+    BSQ_TRY(BSQ_ALLOC(ctx, "rays", n, &job->reaches));
     if (job->look) {
-        BSQ_TRY(bsq_alloc(ctx, "secondary rays", n, sizeof *job->shares, &job->shares));
-        BSQ_TRY(bsq_alloc(ctx, "secondary rays", n, sizeof *job->surroundings, &job->surroundings));
+        BSQ_TRY(BSQ_ALLOC(ctx, "secondary rays", n, &job->shares));
+        BSQ_TRY(BSQ_ALLOC(ctx, "secondary rays", n, &job->surroundings));
     }
     if (next > 0)
         BSQ_TRY(bsq_alloc(ctx, "hits", n, next, &job->next_hits));
     if (job->footprint_table)
-        BSQ_TRY(bsq_alloc(ctx, "footprints", n, sizeof *job->footprints, &job->footprints));
+        BSQ_TRY(BSQ_ALLOC(ctx, "footprints", n, &job->footprints));
     if (object > 0)
         BSQ_TRY(bsq_alloc(ctx, "objects of rays", n, object, &job->objects));
     if (channels > 0)
@@ -649,19 +649,10 @@ static void patches_release(struct job *job, struct bake_report *report)
 {
     bake_patch_workers_end(job->ctx, &job->workers, report);
     bake_look_free(job->look);
-    bsq_free(job->ctx, job->order);
-    bsq_free(job->ctx, job->seated);
+    BSQ_FREE(job->ctx, job->order, job->seated);
     bake_exact_sweep_free(job->sweep);
-    bsq_free(job->ctx, job->footprint_table);
-    bsq_free(job->ctx, job->rays);
-    bsq_free(job->ctx, job->hits);
-    bsq_free(job->ctx, job->next_hits);
-    bsq_free(job->ctx, job->reaches);
-    bsq_free(job->ctx, job->footprints);
-    bsq_free(job->ctx, job->objects);
-    bsq_free(job->ctx, job->channels);
-    bsq_free(job->ctx, job->shares);
-    bsq_free(job->ctx, job->surroundings);
+    BSQ_FREE(job->ctx, job->footprint_table, job->rays, job->hits, job->next_hits, job->reaches,
+             job->footprints, job->objects, job->channels, job->shares, job->surroundings);
 }
 
 static int tell_losses(const struct bake_surface *surface)

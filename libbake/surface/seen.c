@@ -353,15 +353,14 @@ int bake_seen_create(struct bake_surface *surface, double area, double texels, b
     *out = NULL;
     if (!(area > 0 && texels > 0))
         return 0;
-    BSQ_TRY(bsq_calloc(ctx, "cells of the scan", 1, sizeof *seen, &seen));
+    BSQ_TRY(BSQ_CALLOC(ctx, "cells of the scan", 1, &seen));
     *out = seen;
     seen->ctx = ctx;
     choose_cells(surface, area, texels, device, seen);
     seen->words_log2 = LEAST_WORDS_LOG2;
     while (ldexp(1, (int)seen->words_log2) < WORDS_A_CELL * area / (seen->side * seen->side))
         seen->words_log2++;
-    BSQ_TRY(bsq_calloc(ctx, "cells of the scan", UINT64_C(1) << seen->words_log2,
-                       sizeof *seen->words, &seen->words));
+    BSQ_TRY(BSQ_CALLOC(ctx, "cells of the scan", UINT64_C(1) << seen->words_log2, &seen->words));
     for (uint32_t s = 0; s < surface->scan_count; s++)
         if (surface->scans[s].exact)
             BSQ_TRY(bake_exact_note_areas(surface->scans[s].exact));
@@ -373,6 +372,5 @@ void bake_seen_free(struct bake_seen *seen)
 {
     if (!seen)
         return;
-    bsq_free(seen->ctx, (void *)seen->words);
-    bsq_free(seen->ctx, seen);
+    BSQ_FREE(seen->ctx, (void *)seen->words, seen);
 }

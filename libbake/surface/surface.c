@@ -155,7 +155,7 @@ int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
     if (count > 1 && !on_processor(options))
         BSQ_TRY(bsq_fail(ctx, BSQ_EUSAGE, "several scans are traced on the cpu, not on %s",
                          options->device));
-    BSQ_TRY(bsq_calloc(ctx, "scans", count, sizeof *out->scans, &out->scans));
+    BSQ_TRY(BSQ_CALLOC(ctx, "scans", count, &out->scans));
     for (; out->scan_count < count; out->scan_count++)
         BSQ_TRY(surface_open_scan(out, options, out->scan_count));
     join_scans(out);
@@ -169,8 +169,7 @@ void bake_surface_close(struct bake_surface *surface)
 {
     for (uint32_t s = 0; s < surface->scan_count; s++) {
         struct bake_scan *scan = &surface->scans[s];
-        bsq_free(surface->ctx, scan->transfer_words);
-        bsq_free(surface->ctx, scan->own_channels);
+        BSQ_FREE(surface->ctx, scan->transfer_words, scan->own_channels);
         if (scan->exact)
             bake_exact_close(scan->exact);
         else

@@ -86,8 +86,7 @@ static int use_grid(struct bake_scan *scan, const struct bake_options *options, 
     if (count == 0)
         grid->channels = NULL;
     if (count > 0)
-        BSQ_TRY(bsq_alloc(scan->ctx, "transfer maps", count, sizeof *scan->transfer_words,
-                          &scan->transfer_words));
+        BSQ_TRY(BSQ_ALLOC(scan->ctx, "transfer maps", count, &scan->transfer_words));
     for (uint32_t i = 0; i < count; i++)
         BSQ_TRY(attributes_find_channel(scan, &options->transfers[i], &scan->transfer_words[i]));
     grid->transfers = scan->transfer_words;

@@ -261,11 +261,9 @@ static int create_trees(struct bake_look *look)
     const struct bake_surface *surface = look->surface;
     struct bsq_ctx *ctx = surface->ctx;
     int status;
-    BSQ_TRY(bsq_alloc(ctx, "results of rays",
-                      bsq_threads(ctx) * (uint64_t)bk_ray_count(&look->params), sizeof *look->found,
-                      &look->found));
-    BSQ_TRY(
-        bsq_calloc(ctx, "trees of leaves", surface->scan_count, sizeof *look->trees, &look->trees));
+    BSQ_TRY(BSQ_ALLOC(ctx, "results of rays",
+                      bsq_threads(ctx) * (uint64_t)bk_ray_count(&look->params), &look->found));
+    BSQ_TRY(BSQ_CALLOC(ctx, "trees of leaves", surface->scan_count, &look->trees));
     for (uint32_t s = 0; s < surface->scan_count; s++)
         if (!surface->scans[s].exact)
             BSQ_TRY(bake_tree_build(ctx, &surface->scans[s].grid, &look->trees[s]));
@@ -291,10 +289,10 @@ static int create_states(struct bake_look *look, uint64_t most)
     const uint64_t share = bsq_memory_share(ctx, "secondary rays", 8);
     const uint64_t fitting = bytes == 0 || most < share / bytes ? most : share / bytes;
     states->capacity = fitting < 1 ? 1 : fitting;
-    BSQ_TRY(bsq_alloc(ctx, "secondary rays", states->capacity * states->words + 1,
-                      sizeof *states->hidden, &states->hidden));
-    status = bsq_alloc(ctx, "secondary rays", states->capacity * states->lengths + 1,
-                       sizeof *states->distances, &states->distances);
+    BSQ_TRY(
+        BSQ_ALLOC(ctx, "secondary rays", states->capacity * states->words + 1, &states->hidden));
+    status = BSQ_ALLOC(ctx, "secondary rays", states->capacity * states->lengths + 1,
+                       &states->distances);
 done:
     return status;
 }
@@ -305,7 +303,7 @@ int bake_look_create(const struct bake_surface *surface, uint64_t most, struct b
     struct bake_look *look;
     int status = 0;
     *out = NULL;
-    BSQ_TRY(bsq_calloc(surface->ctx, "secondary rays", 1, sizeof *look, &look));
+    BSQ_TRY(BSQ_CALLOC(surface->ctx, "secondary rays", 1, &look));
     look->surface = surface;
     look->params = surface->params;
     look->params.unit = 1;
@@ -334,8 +332,5 @@ void bake_look_free(struct bake_look *look)
         bake_tree_free(ctx, &look->trees[s]);
     bsq_free(ctx, look->trees);
     bake_native_workers_free(ctx, &look->workers);
-    bsq_free(ctx, look->found);
-    bsq_free(ctx, look->states.hidden);
-    bsq_free(ctx, look->states.distances);
-    bsq_free(ctx, look);
+    BSQ_FREE(ctx, look->found, look->states.hidden, look->states.distances, look);
 }

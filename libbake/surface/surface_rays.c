@@ -151,16 +151,14 @@ static int trace_scans(const struct bake_surface *surface, const struct bake_sur
     struct scans_trace trace = {.surface = surface, .rays = rays};
     struct bsq_ctx *ctx = surface->ctx;
     int status = 0;
-    BSQ_TRY(bsq_alloc(ctx, "rays", count, sizeof *trace.own_rays, &trace.own_rays));
-    BSQ_TRY(bsq_alloc(ctx, "hits", count, sizeof *trace.own_hits, &trace.own_hits));
+    BSQ_TRY(BSQ_ALLOC(ctx, "rays", count, &trace.own_rays));
+    BSQ_TRY(BSQ_ALLOC(ctx, "hits", count, &trace.own_hits));
     if (rays->batch.channels)
         BSQ_TRY(bsq_alloc(ctx, "hits", count, floats * sizeof(float), &trace.own_channels));
     for (; trace.scan < surface->scan_count; trace.scan++)
         BSQ_TRY(trace_next(&trace));
 done:
-    bsq_free(ctx, trace.own_channels);
-    bsq_free(ctx, trace.own_hits);
-    bsq_free(ctx, trace.own_rays);
+    BSQ_FREE(ctx, trace.own_channels, trace.own_hits, trace.own_rays);
     return status;
 }
 

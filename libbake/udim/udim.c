@@ -268,7 +268,7 @@ static void take_options(struct tile_sorter *sorter, const struct bake_options *
 static int create_sorter(struct bsq_ctx *ctx, const struct bake_options *options,
                          const struct bake_lowmesh *mesh, uint32_t set, struct tile_sorter **out)
 {
-    int status = bsq_calloc(ctx, "tiles", 1, sizeof **out, out);
+    int status = BSQ_CALLOC(ctx, "tiles", 1, out);
     if (status < 0)
         return status;
     (*out)->ctx = ctx;
@@ -351,8 +351,7 @@ static int udim_check_tiles(const struct tile_sorter *sorter, uint32_t count)
 /* Adds a tile, whose triangles follow those of all others. */
 static int add_tile(struct bsq_ctx *ctx, const struct bake_udim_tile *tile, struct bake_udim *out)
 {
-    int status = bsq_grow(ctx, "tiles", out->count + UINT64_C(1), sizeof *out->tiles, &out->tiles,
-                          &out->capacity);
+    int status = BSQ_GROW(ctx, "tiles", out->count + UINT64_C(1), &out->tiles, &out->capacity);
     if (status < 0)
         return status;
     const struct bake_udim_tile *last = out->count > 0 ? &out->tiles[out->count - 1] : NULL;
@@ -456,7 +455,7 @@ int bake_udim_find(struct bsq_ctx *ctx, const struct bake_options *options,
 {
     uint64_t *triangles = NULL;
     *out = (struct bake_udim){0};
-    int status = bsq_calloc(ctx, "tiles", TILES, sizeof *triangles, &triangles);
+    int status = BSQ_CALLOC(ctx, "tiles", TILES, &triangles);
     for (uint32_t set = 0; set < sets_of(mesh) && status == 0; set++)
         status = find_tiles_of_set(ctx, options, mesh, set, triangles, out);
     if (status == 0)
@@ -505,7 +504,7 @@ static int sort_mesh(struct bsq_ctx *ctx, const struct bake_options *options,
     if (count > UINT32_MAX)
         return bsq_fail(ctx, BSQ_EDATA, "%s: %" PRIu64 " triangles in UDIM tiles, %u are supported",
                         mesh_name(options), count, UINT32_MAX);
-    int status = bsq_alloc(ctx, "triangles by tile", count, sizeof *order, &order);
+    int status = BSQ_ALLOC(ctx, "triangles by tile", count, &order);
     for (uint32_t set = 0; set < sets_of(mesh) && status == 0; set++)
         status = sort_set(ctx, options, udim, mesh, set, order, &tile, &rest);
     if (status == 0)

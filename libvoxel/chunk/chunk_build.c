@@ -48,8 +48,8 @@ int vox_chunk_builder_init(struct chunk_builder *b, const struct scan *scan,
     BSQ_TRY(bsq_alloc(b->ctx, what, MAX_VERTICES, 12, &b->positions));
     BSQ_TRY(bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, 12, &b->triangles));
     BSQ_TRY(bsq_alloc(b->ctx, what, (uint64_t)1 << MAX_TABLE_BITS, 4, &b->table));
-    BSQ_TRY(bsq_alloc(b->ctx, what, (uint64_t)1 << CACHE_BITS, sizeof *b->cache, &b->cache));
-    BSQ_TRY(bsq_alloc(b->ctx, what, (uint64_t)1 << PLAIN_CACHE_BITS, sizeof *b->plain, &b->plain));
+    BSQ_TRY(BSQ_ALLOC(b->ctx, what, (uint64_t)1 << CACHE_BITS, &b->cache));
+    BSQ_TRY(BSQ_ALLOC(b->ctx, what, (uint64_t)1 << PLAIN_CACHE_BITS, &b->plain));
     BSQ_TRY(bsq_alloc(b->ctx, what, bound, 1, &b->encoded));
     if (attributes & FMT_TRIS_NORMALS)
         BSQ_TRY(bsq_alloc(b->ctx, what, MAX_VERTICES, 4, &b->normals));

@@ -101,7 +101,7 @@ static int chunks_allocate(struct batches *b)
     chunks_divide_memory(b);
     int status = vox_batch_open(&b->batch, b->scan, b->partition, b->capacity);
     if (status == 0)
-        status = bsq_calloc(b->ctx, "sorting", b->slot_count, sizeof *b->slots, &b->slots);
+        status = BSQ_CALLOC(b->ctx, "sorting", b->slot_count, &b->slots);
     for (unsigned i = 0; status == 0 && i < b->slot_count; i++)
         status = vox_chunk_builder_init(&b->slots[i].builder, b->batch.scan, &b->partition->layout,
                                         b->batch.used);

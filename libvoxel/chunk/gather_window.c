@@ -76,17 +76,13 @@ static int open_kind(struct gather_window *w, enum fmt_mesh_kind number)
     kind->count = scan_count(w->scan, scan_stream_of(number));
     if (!kind->active)
         return 0;
-    int status =
-        bsq_calloc(w->ctx, "sorting", used_words(kind->count), sizeof *kind->marks, &kind->marks);
+    int status = BSQ_CALLOC(w->ctx, "sorting", used_words(kind->count), &kind->marks);
     if (status == 0)
-        status = bsq_alloc(w->ctx, "sorting", used_words(kind->count), sizeof *kind->ranks,
-                           &kind->ranks);
+        status = BSQ_ALLOC(w->ctx, "sorting", used_words(kind->count), &kind->ranks);
     if (status == 0)
-        status = bsq_alloc(w->ctx, "sorting", range_count(kind), sizeof *kind->range_ranks,
-                           &kind->range_ranks);
+        status = BSQ_ALLOC(w->ctx, "sorting", range_count(kind), &kind->range_ranks);
     if (status == 0)
-        status =
-            bsq_calloc(w->ctx, "sorting", range_count(kind), sizeof *kind->ranges, &kind->ranges);
+        status = BSQ_CALLOC(w->ctx, "sorting", range_count(kind), &kind->ranges);
     return status;
 }
 
@@ -111,10 +107,8 @@ void vox_gather_close(struct gather_window *w)
     for (int i = 0; i < SCAN_STREAM_COUNT; i++)
         bsq_free(w->ctx, w->elements[i]);
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
-        bsq_free(w->ctx, w->kinds[kind].marks);
-        bsq_free(w->ctx, w->kinds[kind].ranks);
-        bsq_free(w->ctx, w->kinds[kind].range_ranks);
-        bsq_free(w->ctx, w->kinds[kind].ranges);
+        BSQ_FREE(w->ctx, w->kinds[kind].marks, w->kinds[kind].ranks, w->kinds[kind].range_ranks,
+                 w->kinds[kind].ranges);
     }
     bsq_free(w->ctx, w->buffers);
     memset(w, 0, sizeof *w);

@@ -50,7 +50,7 @@ static int open_readers(struct batch *b)
     const struct tuple_layout *layout = &b->partition->layout;
     b->reader_count = bsq_threads(b->ctx) + 1;
     int status;
-    BSQ_TRY(bsq_calloc(b->ctx, "sorting", b->reader_count, sizeof *b->readers, &b->readers));
+    BSQ_TRY(BSQ_CALLOC(b->ctx, "sorting", b->reader_count, &b->readers));
     for (unsigned i = 0; i < b->reader_count; i++)
         BSQ_TRY(vox_run_reader_init(&b->readers[i], b->scan, layout));
 done:
@@ -72,8 +72,8 @@ int vox_batch_open(struct batch *b, const struct scan *scan, const struct partit
     BSQ_TRY(b->gathered ? open_window(b) : 0);
     BSQ_TRY(bsq_alloc(b->ctx, what, capacity * bytes + TUPLE_SLACK, 1, &b->tuples));
     BSQ_TRY(bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, bytes, &b->spare_tuples));
-    BSQ_TRY(bsq_alloc(b->ctx, what, capacity, sizeof *b->entries, &b->entries));
-    BSQ_TRY(bsq_alloc(b->ctx, what, capacity, sizeof *b->scratch, &b->scratch));
+    BSQ_TRY(BSQ_ALLOC(b->ctx, what, capacity, &b->entries));
+    BSQ_TRY(BSQ_ALLOC(b->ctx, what, capacity, &b->scratch));
     memset(b->tuples + capacity * bytes, 0, TUPLE_SLACK);
     status = open_readers(b);
 done:
@@ -268,8 +268,7 @@ bool vox_batch_fits(const struct batch *b, uint64_t triangles)
 
 int vox_batch_add(struct batch *b, const struct batch_slice *slice)
 {
-    int status = bsq_grow(b->ctx, "sorting", b->slice_count + 1, sizeof *b->slices, &b->slices,
-                          &b->slice_capacity);
+    int status = BSQ_GROW(b->ctx, "sorting", b->slice_count + 1, &b->slices, &b->slice_capacity);
     if (status < 0)
         return status;
     struct batch_slice *added = &b->slices[b->slice_count++];

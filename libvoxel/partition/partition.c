@@ -188,8 +188,7 @@ static int make_buckets(struct reading *r, uint64_t page_memory)
     int status;
     BSQ_TRY(bsq_spill_init(&out->buckets, scan->ctx, "sorted tuples", r->beside,
                            1u << 3 * out->levels, used, page_bytes, page_memory));
-    status = bsq_calloc(scan->ctx, "vertices in use", used_words(vertices), sizeof *out->used,
-                        &out->used);
+    status = BSQ_CALLOC(scan->ctx, "vertices in use", used_words(vertices), &out->used);
 done:
     return status;
 }
@@ -294,7 +293,7 @@ int vox_partition_read(struct scan *scan, struct fmt_mesh_reader *reader, const 
                         .used_before = bsq_memory_used(scan->ctx),
                         .slot_count = fmt_mesh_max_slots(reader)};
     int status;
-    BSQ_TRY(bsq_calloc(scan->ctx, "faces", r.slot_count, sizeof *r.slots, &r.slots));
+    BSQ_TRY(BSQ_CALLOC(scan->ctx, "faces", r.slot_count, &r.slots));
     if (passes == PARTITION_TWO_PASSES)
         BSQ_TRY(read_pass(&r, reader, true, false));
     status = read_pass(&r, reader, passes == PARTITION_ONE_PASS, true);

@@ -46,7 +46,7 @@ int vox_triangulator_init(struct triangulator *t, struct bsq_ctx *ctx,
 {
     uint64_t buckets = (uint64_t)1 << 3 * plan->levels;
     *t = (struct triangulator){.ctx = ctx, .plan = plan};
-    return bsq_calloc(ctx, "faces", buckets, sizeof *t->counts, &t->counts);
+    return BSQ_CALLOC(ctx, "faces", buckets, &t->counts);
 }
 
 void vox_triangulator_free(struct triangulator *t)
@@ -66,9 +66,8 @@ static int reserve_polygon(struct triangulator *t, uint32_t max_size)
     if (max_size <= 3)
         return 0;
     if (t->plan->vertex_buckets && !t->pages)
-        BSQ_TRY(bsq_calloc(t->ctx, what, 1, sizeof *t->pages, &t->pages));
-    BSQ_TRY(
-        bsq_grow(t->ctx, what, max_size, sizeof *t->polygon, &t->polygon, &t->polygon_capacity[0]));
+        BSQ_TRY(BSQ_CALLOC(t->ctx, what, 1, &t->pages));
+    BSQ_TRY(BSQ_GROW(t->ctx, what, max_size, &t->polygon, &t->polygon_capacity[0]));
     BSQ_TRY(bsq_grow(t->ctx, what, max_size, 12, &t->polygon_triangles, &t->polygon_capacity[1]));
     status = bsq_grow(t->ctx, what, bsq_triangulate_scratch(max_size), 1, &t->polygon_scratch,
                       &t->polygon_capacity[2]);
@@ -390,7 +389,7 @@ static int reserve_plain(struct triangulator *t, uint64_t triangles)
         triangles * coded_triangle_bytes(t->plan, 1) + headers * RUN_HEADER_MAX + CORNER_CODE_SLACK;
     int status = bsq_grow(t->ctx, "faces", bytes, 1, &t->bytes, &t->bytes_capacity);
     if (status == 0)
-        status = bsq_grow(t->ctx, "faces", runs, sizeof *t->runs, &t->runs, &t->run_capacity);
+        status = BSQ_GROW(t->ctx, "faces", runs, &t->runs, &t->run_capacity);
     return status;
 }
 
@@ -477,17 +476,13 @@ static int faces_reserve(struct triangulator *t, const struct faces *faces, uint
     const uint64_t runs = (buckets < triangles ? buckets : triangles) + 1;
     int status;
     BSQ_TRY(bsq_grow(t->ctx, what, bytes, 1, &t->bytes, &t->bytes_capacity));
-    BSQ_TRY(bsq_grow(t->ctx, what, runs, sizeof *t->runs, &t->runs, &t->run_capacity));
-    BSQ_TRY(
-        bsq_grow(t->ctx, what, triangles, sizeof *t->buckets, &t->buckets, &t->bucket_capacity));
-    BSQ_TRY(bsq_grow(t->ctx, what, triangles + SORTED_AHEAD, sizeof *t->order, &t->order,
-                     &t->order_capacity));
+    BSQ_TRY(BSQ_GROW(t->ctx, what, runs, &t->runs, &t->run_capacity));
+    BSQ_TRY(BSQ_GROW(t->ctx, what, triangles, &t->buckets, &t->bucket_capacity));
+    BSQ_TRY(BSQ_GROW(t->ctx, what, triangles + SORTED_AHEAD, &t->order, &t->order_capacity));
     if (faces->sizes)
-        BSQ_TRY(bsq_grow(t->ctx, what, triangles, sizeof *t->corners, &t->corners,
-                         &t->corner_capacity));
+        BSQ_TRY(BSQ_GROW(t->ctx, what, triangles, &t->corners, &t->corner_capacity));
     if (faces->has_materials)
-        BSQ_TRY(bsq_grow(t->ctx, what, triangles, sizeof *t->materials, &t->materials,
-                         &t->material_capacity));
+        BSQ_TRY(BSQ_GROW(t->ctx, what, triangles, &t->materials, &t->material_capacity));
 done:
     return status;
 }

@@ -90,7 +90,7 @@ static bool vertices_add_runs(struct vertex_buckets *out, const struct vertex_bl
 static int end_runs(const struct scan *scan, struct vertex_buckets *out)
 {
     uint64_t *runs = NULL;
-    int status = bsq_alloc(scan->ctx, what, out->run_count + 1, sizeof *runs, &runs);
+    int status = BSQ_ALLOC(scan->ctx, what, out->run_count + 1, &runs);
     if (status < 0)
         return status;
     memcpy(runs, out->runs, out->run_count * sizeof *runs);
@@ -112,7 +112,7 @@ static int make_runs(const struct scan *scan, const struct morton_cube *cube, ui
     most = most < vertices / VERTICES_BY_RUN ? most : vertices / VERTICES_BY_RUN;
     int status;
     *made = most > 0;
-    BSQ_TRY(bsq_alloc(scan->ctx, what, most, sizeof *out->runs, &out->runs));
+    BSQ_TRY(BSQ_ALLOC(scan->ctx, what, most, &out->runs));
     BSQ_TRY(bsq_alloc(scan->ctx, what, first_run_bytes(scan), 1, &out->first_runs));
     while (*made && block->first + block->count < vertices) {
         BSQ_TRY(read_vertices(scan, cube, out->levels, block));
@@ -132,9 +132,9 @@ static int vertices_make_entries(const struct scan *scan, const struct morton_cu
     const uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
     int status;
     if (out->levels > VERTEX_BUCKET_NARROW_LEVELS)
-        BSQ_TRY(bsq_alloc(scan->ctx, what, vertices, sizeof *out->wide, &out->wide));
+        BSQ_TRY(BSQ_ALLOC(scan->ctx, what, vertices, &out->wide));
     else
-        BSQ_TRY(bsq_alloc(scan->ctx, what, vertices, sizeof *out->narrow, &out->narrow));
+        BSQ_TRY(BSQ_ALLOC(scan->ctx, what, vertices, &out->narrow));
     while (block->first + block->count < vertices) {
         BSQ_TRY(read_vertices(scan, cube, out->levels, block));
         for (uint32_t i = 0; i < block->count; i++)
@@ -167,7 +167,7 @@ int vox_vertex_buckets_make(const struct scan *scan, const struct morton_cube *c
     bool made = false;
     int status;
     *out = (struct vertex_buckets){.levels = levels};
-    BSQ_TRY(bsq_calloc(scan->ctx, what, 1, sizeof *block, &block));
+    BSQ_TRY(BSQ_CALLOC(scan->ctx, what, 1, &block));
     if (vertices / 4 <= bytes)
         BSQ_TRY(make_runs(scan, cube, bytes, block, out, &made));
     if (!made) {
@@ -201,9 +201,6 @@ void vox_vertex_buckets_coarsen(const struct scan *scan, struct vertex_buckets *
 
 void vox_vertex_buckets_free(const struct scan *scan, struct vertex_buckets *buckets)
 {
-    bsq_free(scan->ctx, buckets->wide);
-    bsq_free(scan->ctx, buckets->narrow);
-    bsq_free(scan->ctx, buckets->runs);
-    bsq_free(scan->ctx, buckets->first_runs);
+    BSQ_FREE(scan->ctx, buckets->wide, buckets->narrow, buckets->runs, buckets->first_runs);
     *buckets = (struct vertex_buckets){0};
 }

@@ -150,8 +150,8 @@ static int enter_material(struct scan *scan, uint32_t material, struct scan_mate
         return 0;
     int status = 0;
     if (count > before)
-        status = bsq_grow(scan->ctx, "materials", count, sizeof *scan->material_uses,
-                          &scan->material_uses, &scan->material_use_capacity);
+        status = BSQ_GROW(scan->ctx, "materials", count, &scan->material_uses,
+                          &scan->material_use_capacity);
     if (status < 0)
         return status;
     for (uint64_t i = before; i < count; i++)

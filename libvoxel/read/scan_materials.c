@@ -111,8 +111,8 @@ static bool any_gives(const struct scan *scan, const struct fmt_materials *found
 static int drop_optional(struct scan *scan, const struct fmt_materials *found)
 {
     uint32_t count = 0;
-    int status = bsq_calloc(scan->ctx, "channels", scan->channel_count + UINT64_C(1),
-                            sizeof *scan->found_optional, &scan->found_optional);
+    int status =
+        BSQ_CALLOC(scan->ctx, "channels", scan->channel_count + UINT64_C(1), &scan->found_optional);
     for (uint32_t c = 0; c < scan->channel_count && status == 0; c++)
         if (!scan->channels[c].optional || any_gives(scan, found, c))
             scan->found_optional[count++] = scan->channels[c];
@@ -186,8 +186,7 @@ static int add_sources(struct scan *scan, const struct fmt_material *from, bool 
     struct fmt_tris_material *material = &scan->materials[number];
     if (scan->channel_count == 0)
         return 0;
-    int status = bsq_calloc(scan->ctx, "channels", scan->channel_count, sizeof *material->sources,
-                            &material->sources);
+    int status = BSQ_CALLOC(scan->ctx, "channels", scan->channel_count, &material->sources);
     for (uint32_t c = 0; c < scan->channel_count && status == 0; c++) {
         struct fmt_tris_source *source = &material->sources[c];
         const struct fmt_material_channel *own =
@@ -234,13 +233,12 @@ static int allocate_tables(struct scan *scan)
 {
     const uint64_t entries = 2 * ((uint64_t)scan->usemtl_count + 1);
     int status;
-    BSQ_TRY(bsq_alloc(scan->ctx, "materials", entries, sizeof *scan->material_map,
-                      &scan->material_map));
+    BSQ_TRY(BSQ_ALLOC(scan->ctx, "materials", entries, &scan->material_map));
     memset(scan->material_map, 0xff, entries * sizeof *scan->material_map);
-    BSQ_TRY(bsq_calloc(scan->ctx, "a table of materials and of colours of faces", entries,
-                       sizeof *scan->materials, &scan->materials));
-    status = bsq_calloc(scan->ctx, "channels", scan->channel_count + UINT64_C(1),
-                        sizeof *scan->found_channels, &scan->found_channels);
+    BSQ_TRY(BSQ_CALLOC(scan->ctx, "a table of materials and of colours of faces", entries,
+                       &scan->materials));
+    status =
+        BSQ_CALLOC(scan->ctx, "channels", scan->channel_count + UINT64_C(1), &scan->found_channels);
 done:
     return status;
 }

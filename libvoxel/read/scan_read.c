@@ -30,9 +30,7 @@ int vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limi
     for (int i = 0; i < SCAN_STREAM_COUNT && status == 0; i++)
         status = vox_stream_init(&scan->streams[i], ctx, streams[i].what, tris_path,
                                  streams[i].element_bytes, limits->stream_shift);
-    return status < 0
-               ? status
-               : bsq_calloc(ctx, "files of a scan", path_count, sizeof *scan->files, &scan->files);
+    return status < 0 ? status : BSQ_CALLOC(ctx, "files of a scan", path_count, &scan->files);
 }
 
 void vox_scan_free(struct scan *scan)
@@ -42,18 +40,13 @@ void vox_scan_free(struct scan *scan)
     for (int i = 0; i < SCAN_STREAM_COUNT; i++)
         vox_stream_free(&scan->streams[i]);
     for (uint32_t i = 0; i < scan->material_count; i++) {
-        bsq_free(scan->ctx, scan->materials[i].texture_path);
-        bsq_free(scan->ctx, scan->materials[i].name);
+        BSQ_FREE(scan->ctx, scan->materials[i].texture_path, scan->materials[i].name);
         for (uint32_t c = 0; scan->materials[i].sources && c < scan->channel_count; c++)
             bsq_free(scan->ctx, scan->materials[i].sources[c].texture_path);
         bsq_free(scan->ctx, scan->materials[i].sources);
     }
-    bsq_free(scan->ctx, scan->materials);
-    bsq_free(scan->ctx, scan->found_channels);
-    bsq_free(scan->ctx, scan->found_optional);
-    bsq_free(scan->ctx, scan->material_map);
-    bsq_free(scan->ctx, scan->material_uses);
-    bsq_free(scan->ctx, scan->files);
+    BSQ_FREE(scan->ctx, scan->materials, scan->found_channels, scan->found_optional,
+             scan->material_map, scan->material_uses, scan->files);
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         bsq_free(scan->ctx, scan->missing[kind].bits);
     bsq_free(scan->ctx, scan->missing_colors.bits);
@@ -341,8 +334,8 @@ static int extend(struct bsq_ctx *ctx, struct scan_missing *missing, uint64_t co
     const uint64_t words = count / 64 + 1;
     if (words <= missing->words)
         return 0;
-    int status = bsq_grow(ctx, "elements that are missing", words, sizeof *missing->bits,
-                          &missing->bits, &missing->capacity);
+    int status =
+        BSQ_GROW(ctx, "elements that are missing", words, &missing->bits, &missing->capacity);
     if (status < 0)
         return status;
     memset(missing->bits + missing->words, 0, (words - missing->words) * sizeof *missing->bits);

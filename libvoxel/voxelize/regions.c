@@ -105,8 +105,8 @@ static int begin_region(struct vox_run *run)
     vox_region_origin(key, region->origin);
     region->chunk_count = 0;
     while (vox_schedule_chunk(run->schedule, &chunk, &after)) {
-        int status = bsq_grow(run->ctx, "region's chunks", region->chunk_count + 1,
-                              sizeof *region->chunks, &region->chunks, &region->chunk_capacity);
+        int status = BSQ_GROW(run->ctx, "region's chunks", region->chunk_count + 1, &region->chunks,
+                              &region->chunk_capacity);
         if (status < 0)
             return status;
         region->chunks[region->chunk_count++] = chunk;
@@ -124,8 +124,8 @@ static int fill_unit(struct vox_run *run, struct vox_unit *unit, uint64_t sequen
     unit->sequence = sequence;
     if (run->next_slab == run->slabs && (status = begin_region(run)) <= 0)
         return status;
-    if ((status = bsq_grow(run->ctx, "region's chunks", region->chunk_count, sizeof *unit->chunks,
-                           &unit->chunks, &unit->chunk_capacity)) < 0)
+    if ((status = BSQ_GROW(run->ctx, "region's chunks", region->chunk_count, &unit->chunks,
+                           &unit->chunk_capacity)) < 0)
         return status;
     memcpy(unit->origin, region->origin, sizeof unit->origin);
     memcpy(unit->chunks, region->chunks, region->chunk_count * sizeof *unit->chunks);

@@ -179,7 +179,7 @@ static int voxelize_find_boxes(struct vox_run *run)
 {
     uint64_t count = run->header->chunk_count;
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(run->file);
-    int status = bsq_alloc(run->ctx, "chunk bounds", count, sizeof *run->bounds, &run->bounds);
+    int status = BSQ_ALLOC(run->ctx, "chunk bounds", count, &run->bounds);
     if (status < 0)
         return status;
     for (uint64_t i = 0; i < count; i++)
@@ -234,13 +234,13 @@ static int make_workers(struct vox_run *run)
 {
     const uint64_t count = UINT64_C(1) * UNITS_PER_WORKER * run->workers;
     int status;
-    BSQ_TRY(bsq_calloc(run->ctx, "workers", run->workers, sizeof *run->own, &run->own));
+    BSQ_TRY(BSQ_CALLOC(run->ctx, "workers", run->workers, &run->own));
     for (struct vox_worker *own = run->own; own < run->own + run->workers; own++) {
         BSQ_TRY(vox_accumulator_create(run->ctx, run->shares.accumulator_bytes, sums_of(run),
                                        &own->sums));
         BSQ_TRY(bsq_alloc(run->ctx, "fragments", vox_fragment_block_bytes(), 1, &own->block));
     }
-    BSQ_TRY(bsq_calloc(run->ctx, "workers", count, sizeof *run->units, &run->units));
+    BSQ_TRY(BSQ_CALLOC(run->ctx, "workers", count, &run->units));
     run->unit_count = (unsigned)count;
     for (unsigned i = 0; i < run->unit_count; i++)
         vox_leaves_init(&run->units[i].leaves, run->ctx);
@@ -313,9 +313,7 @@ static void tear_down(struct vox_run *run)
         vox_accumulator_destroy(run->own[i].sums);
         bsq_free(run->ctx, run->own[i].block);
     }
-    bsq_free(run->ctx, run->units);
-    bsq_free(run->ctx, run->own);
-    bsq_free(run->ctx, run->current.chunks);
+    BSQ_FREE(run->ctx, run->units, run->own, run->current.chunks);
     vox_chunks_destroy(run->chunks);
     vox_schedule_destroy(run->schedule);
     bsq_free(run->ctx, run->boxes);
@@ -464,9 +462,7 @@ int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options
     status = commit_grid(&run, report);
 done:
     fmt_nvdb_discard(run.writer);
-    bsq_free(ctx, run.boxes);
-    bsq_free(ctx, run.channels);
-    bsq_free(ctx, run.bounds);
+    BSQ_FREE(ctx, run.boxes, run.channels, run.bounds);
     fmt_tris_close(run.file);
     report->seconds = bsq_seconds_now() - start;
     return status;

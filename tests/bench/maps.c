@@ -155,7 +155,7 @@ static int trace_with_embree(struct bench *bench)
     memset(bench->hidden, 0, sizeof bench->hidden);
     memset(bench->seconds, 0, sizeof bench->seconds);
     bake_kernel_grid(bench->scene.job.grid, &bench->scene.job.params, &bench->grid);
-    int status = bsq_alloc(bench->ctx, "rays", most, sizeof *bench->rays, &bench->rays);
+    int status = BSQ_ALLOC(bench->ctx, "rays", most, &bench->rays);
     if (status == 0)
         status = rays_for_patches(&bench->scene, trace_patch, bench);
     bsq_free(bench->ctx, bench->rays);

@@ -43,10 +43,9 @@ static int load(const struct rays_scene *scene, struct fmt_tris_file *file, stru
     for (uint64_t i = 0; i < header->chunk_count; i++)
         vertices += chunks[i].vertex_count;
     /* One position is spare: Embree reads 16 bytes at each. */
-    int status = bsq_alloc(ctx, "positions", vertices + 1, sizeof *out->positions, &out->positions);
+    int status = BSQ_ALLOC(ctx, "positions", vertices + 1, &out->positions);
     if (status == 0)
-        status = bsq_alloc(ctx, "triangles", header->triangle_count, sizeof *out->indices,
-                           &out->indices);
+        status = BSQ_ALLOC(ctx, "triangles", header->triangle_count, &out->indices);
     if (status == 0)
         status = bsq_alloc(ctx, "chunk", fmt_tris_load_size_max(file), 1, &scratch);
     for (uint64_t i = 0; i < header->chunk_count && status == 0; i++) {
@@ -97,7 +96,7 @@ struct rays_occluder {
 
 int rays_occluder_open(const struct rays_scene *scene, const char *path, struct rays_occluder **out)
 {
-    int status = bsq_calloc(scene->ctx, "Embree", 1, sizeof **out, out);
+    int status = BSQ_CALLOC(scene->ctx, "Embree", 1, out);
     if (status < 0)
         return status;
     struct rays_occluder *occluder = *out;
@@ -119,9 +118,7 @@ void rays_occluder_close(struct rays_occluder *occluder)
         rtcReleaseScene(occluder->scene);
     if (occluder->device)
         rtcReleaseDevice(occluder->device);
-    bsq_free(occluder->ctx, occluder->triangles.positions);
-    bsq_free(occluder->ctx, occluder->triangles.indices);
-    bsq_free(occluder->ctx, occluder);
+    BSQ_FREE(occluder->ctx, occluder->triangles.positions, occluder->triangles.indices, occluder);
 }
 
 bool rays_can_occlude(const struct rays_occluder *occluder, enum rays_way way)

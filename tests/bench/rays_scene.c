@@ -31,8 +31,7 @@ static int make_raster(struct rays_scene *scene, uint32_t size)
     struct bake_raster_report report = {0};
     int status = bake_raster_create(scene->ctx, &scene->mesh, &options, &report, &scene->raster);
     if (status == 0)
-        status = bsq_alloc(scene->ctx, "triangles", scene->mesh.triangle_count,
-                           sizeof *scene->triangles, &scene->triangles);
+        status = BSQ_ALLOC(scene->ctx, "triangles", scene->mesh.triangle_count, &scene->triangles);
     if (status < 0)
         return status;
     bake_raster_kernel_triangles(scene->raster, scene->surface.translation, scene->surface.unit,
@@ -130,8 +129,7 @@ int rays_for_patches(struct rays_scene *scene, int (*fn)(void *arg, const struct
         if (loop.texels)
             bsq_free(ctx, loop.texels[w]);
     }
-    bsq_free(ctx, loop.sample_triangles);
-    bsq_free(ctx, loop.texels);
+    BSQ_FREE(ctx, loop.sample_triangles, loop.texels);
     return status;
 }
 

@@ -64,7 +64,7 @@ static int rasterise(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh)
             "more triangles are reported than exist");
     for (uint32_t i = 0; i < bake_raster_patch_count(raster); i++)
         check_patch(raster, mesh, i);
-    status = bsq_alloc(ctx, "triangles", mesh->triangle_count, sizeof *triangles, &triangles);
+    status = BSQ_ALLOC(ctx, "triangles", mesh->triangle_count, &triangles);
     if (status == 0)
         bake_raster_kernel_triangles(raster, translation, 0.125, triangles);
     bsq_free(ctx, triangles);

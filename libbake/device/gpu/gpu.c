@@ -453,8 +453,7 @@ static int create_streams(struct bake_gpu *gpu)
     const uint64_t texels = texel_bytes(gpu, gpu->patch_texels);
     const uint64_t host = samples > texels ? samples : texels;
     int status;
-    BSQ_TRY(
-        bsq_calloc(gpu->ctx, "streams of the device", count, sizeof *gpu->streams, &gpu->streams));
+    BSQ_TRY(BSQ_CALLOC(gpu->ctx, "streams of the device", count, &gpu->streams));
     BSQ_TRY(
         bsq_calloc(gpu->ctx, "streams of the device", count, stream_bytes, &gpu->stream_memory));
     for (unsigned i = 0; i < count; i++)
@@ -523,8 +522,7 @@ void bake_gpu_close(struct bake_gpu *gpu)
         gpu->driver->release(gpu, gpu->triangles);
     gpu->driver->close(gpu);
     bsq_release(ctx, gpu->reserved_bytes);
-    bsq_free(ctx, gpu->streams);
-    bsq_free(ctx, gpu->stream_memory);
+    BSQ_FREE(ctx, gpu->streams, gpu->stream_memory);
     pthread_mutex_destroy(&gpu->lock);
     bsq_free(ctx, gpu);
 }

@@ -119,17 +119,15 @@ int bake_native_workers_create(struct bsq_ctx *ctx, const struct bk_params *para
     int status;
 
     *out = (struct bake_native_workers){.results_each = native_results(params)};
-    status = bsq_alloc(ctx, "results of rays", threads * out->results_each, sizeof *out->results,
-                       &out->results);
+    status = BSQ_ALLOC(ctx, "results of rays", threads * out->results_each, &out->results);
     if (status == 0)
-        status = bsq_alloc(ctx, "streams of rays", threads, sizeof *out->streams, &out->streams);
+        status = BSQ_ALLOC(ctx, "streams of rays", threads, &out->streams);
     return status;
 }
 
 void bake_native_workers_free(struct bsq_ctx *ctx, struct bake_native_workers *workers)
 {
-    bsq_free(ctx, workers->streams);
-    bsq_free(ctx, workers->results);
+    BSQ_FREE(ctx, workers->streams, workers->results);
     *workers = (struct bake_native_workers){0};
 }
 
@@ -148,7 +146,7 @@ struct bake_device_info bake_native_describe(const struct bsq_ctx *ctx)
 int bake_native_open(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_native **out)
 {
     struct bake_native *native;
-    int status = bsq_calloc(ctx, "native device", 1, sizeof *native, &native);
+    int status = BSQ_CALLOC(ctx, "native device", 1, &native);
 
     *out = NULL;
     if (status < 0)

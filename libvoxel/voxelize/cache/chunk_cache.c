@@ -70,7 +70,7 @@ int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
     struct vox_chunks *c = NULL;
     int status;
     *out = NULL;
-    BSQ_TRY(bsq_calloc(ctx, what, 1, sizeof *c, &c));
+    BSQ_TRY(BSQ_CALLOC(ctx, what, 1, &c));
     *c = (struct vox_chunks){.ctx = ctx,
                              .from = {file, transform, smooth},
                              .lock = PTHREAD_MUTEX_INITIALIZER,
@@ -79,8 +79,8 @@ int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                              .chunk_count = chunk_count,
                              .slot_count = slot_count,
                              .slot_bytes = vox_chunks_slot_bytes(file, smooth)};
-    BSQ_TRY(bsq_calloc(ctx, what, slot_count, sizeof *c->slots, &c->slots));
-    BSQ_TRY(bsq_calloc(ctx, what, chunk_count, sizeof *c->uses, &c->uses));
+    BSQ_TRY(BSQ_CALLOC(ctx, what, slot_count, &c->slots));
+    BSQ_TRY(BSQ_CALLOC(ctx, what, chunk_count, &c->uses));
     find_first_uses(c, boxes, box_count);
     *out = c;
     return 0;
@@ -95,9 +95,7 @@ void vox_chunks_destroy(struct vox_chunks *c)
         return;
     for (uint32_t i = 0; c->slots && i < c->slots_used; i++)
         bsq_free(c->ctx, c->slots[i].content.memory);
-    bsq_free(c->ctx, c->slots);
-    bsq_free(c->ctx, c->uses);
-    bsq_free(c->ctx, c);
+    BSQ_FREE(c->ctx, c->slots, c->uses, c);
 }
 
 void vox_chunks_expect(struct vox_chunks *c, uint32_t chunk, uint32_t uses, vox_region_key after)

@@ -37,8 +37,8 @@ int vox_shading_prepare(struct vox_shading *shading)
         BSQ_TRY(bsq_alloc(scan->ctx, "channels", materials + UINT64_C(1),
                           shading->channel_words * sizeof *shading->channels, &shading->channels));
     if (scan->textures)
-        BSQ_TRY(bsq_calloc(scan->ctx, "textured materials", materials + UINT64_C(1),
-                           sizeof *shading->textured, &shading->textured));
+        BSQ_TRY(BSQ_CALLOC(scan->ctx, "textured materials", materials + UINT64_C(1),
+                           &shading->textured));
     for (uint64_t m = 0; m <= materials; m++) {
         if (shading->channels)
             set_channels(shading, (uint32_t)m);
@@ -52,8 +52,7 @@ done:
 void vox_shading_free(struct vox_shading *shading)
 {
     if (shading->scan.ctx) {
-        bsq_free(shading->scan.ctx, shading->channels);
-        bsq_free(shading->scan.ctx, shading->textured);
+        BSQ_FREE(shading->scan.ctx, shading->channels, shading->textured);
     }
     shading->channels = NULL;
     shading->textured = NULL;

@@ -130,8 +130,8 @@ static struct vox_box run_box(const struct vox_transform *transform,
 
 static int placement_add_box(struct maker *maker, uint32_t chunk, const struct vox_box *box)
 {
-    int status = bsq_grow(maker->ctx, "chunk boxes", maker->count + 1, sizeof *maker->boxes,
-                          &maker->boxes, &maker->capacity);
+    int status =
+        BSQ_GROW(maker->ctx, "chunk boxes", maker->count + 1, &maker->boxes, &maker->capacity);
     if (status == 0)
         maker->boxes[maker->count++] = (struct vox_chunk_box){*box, chunk};
     return status;

@@ -173,10 +173,10 @@ int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_chunk_box *boxes, 
     struct vox_schedule *s;
     int status;
     *out = NULL;
-    BSQ_TRY(bsq_calloc(ctx, "region schedule", 1, sizeof *s, &s));
+    BSQ_TRY(BSQ_CALLOC(ctx, "region schedule", 1, &s));
     *s = (struct vox_schedule){.ctx = ctx, .boxes = boxes, .box_count = box_count};
-    BSQ_TRY(bsq_alloc(ctx, "region schedule", box_count + 1, sizeof *s->heap, &s->heap));
-    BSQ_TRY(bsq_alloc(ctx, "region schedule", box_count + 1, sizeof *s->keys, &s->keys));
+    BSQ_TRY(BSQ_ALLOC(ctx, "region schedule", box_count + 1, &s->heap));
+    BSQ_TRY(BSQ_ALLOC(ctx, "region schedule", box_count + 1, &s->keys));
     for (uint64_t i = 0; i < box_count; i++) {
         s->keys[i] = vox_region_first(&boxes[i].box);
         s->heap[s->count++] = (struct entry){s->keys[i], i};
@@ -194,9 +194,7 @@ void vox_schedule_destroy(struct vox_schedule *s)
 {
     if (!s)
         return;
-    bsq_free(s->ctx, s->heap);
-    bsq_free(s->ctx, s->keys);
-    bsq_free(s->ctx, s);
+    BSQ_FREE(s->ctx, s->heap, s->keys, s);
 }
 
 bool vox_schedule_next(struct vox_schedule *s, vox_region_key *key)

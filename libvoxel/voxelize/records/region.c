@@ -61,7 +61,7 @@ int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, unsigned sums,
 {
     struct vox_accumulator *a;
     *out = NULL;
-    int status = bsq_calloc(ctx, "voxel sums", 1, sizeof *a, &a);
+    int status = BSQ_CALLOC(ctx, "voxel sums", 1, &a);
     if (status < 0)
         return status;
     a->ctx = ctx;
@@ -69,15 +69,14 @@ int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, unsigned sums,
     set_capacities(a, bytes, sums);
     const uint64_t count = (uint64_t)a->sum_capacity + 1;
     const uint64_t channel_bytes = a->channel_words * sizeof *a->channels;
-    BSQ_TRY(bsq_alloc(ctx, "voxel sums", (uint64_t)a->brick_capacity + 1, sizeof *a->bricks,
-                      &a->bricks));
-    BSQ_TRY(bsq_alloc(ctx, "voxel sums", count, sizeof *a->sums, &a->sums));
-    BSQ_TRY(bsq_alloc(ctx, "voxel sums", count, sizeof *a->others, &a->others));
-    BSQ_TRY(bsq_alloc(ctx, "voxel sums", count / 2, sizeof *a->shared, &a->shared));
+    BSQ_TRY(BSQ_ALLOC(ctx, "voxel sums", (uint64_t)a->brick_capacity + 1, &a->bricks));
+    BSQ_TRY(BSQ_ALLOC(ctx, "voxel sums", count, &a->sums));
+    BSQ_TRY(BSQ_ALLOC(ctx, "voxel sums", count, &a->others));
+    BSQ_TRY(BSQ_ALLOC(ctx, "voxel sums", count / 2, &a->shared));
     if (sums & VOX_SUM_COLORS)
-        BSQ_TRY(bsq_alloc(ctx, "voxel sums", count, sizeof *a->colors, &a->colors));
+        BSQ_TRY(BSQ_ALLOC(ctx, "voxel sums", count, &a->colors));
     if (sums & VOX_SUM_IDS)
-        BSQ_TRY(bsq_alloc(ctx, "voxel sums", count, sizeof *a->votes, &a->votes));
+        BSQ_TRY(BSQ_ALLOC(ctx, "voxel sums", count, &a->votes));
     if (channel_bytes > 0) {
         BSQ_TRY(bsq_alloc(ctx, "voxel sums", count, channel_bytes, &a->channels));
         BSQ_TRY(
@@ -95,15 +94,8 @@ void vox_accumulator_destroy(struct vox_accumulator *a)
 {
     if (!a)
         return;
-    bsq_free(a->ctx, a->bricks);
-    bsq_free(a->ctx, a->sums);
-    bsq_free(a->ctx, a->others);
-    bsq_free(a->ctx, a->shared);
-    bsq_free(a->ctx, a->colors);
-    bsq_free(a->ctx, a->votes);
-    bsq_free(a->ctx, a->channels);
-    bsq_free(a->ctx, a->fragment_channels);
-    bsq_free(a->ctx, a);
+    BSQ_FREE(a->ctx, a->bricks, a->sums, a->others, a->shared, a->colors, a->votes, a->channels,
+             a->fragment_channels, a);
 }
 
 void vox_accumulator_clear(struct vox_accumulator *a)
@@ -301,13 +293,12 @@ static int grow_leaves(struct vox_leaves *l, uint64_t leaves, const uint64_t rec
     const uint64_t bytes = l->channel_words * sizeof *l->sides->channels;
     int status = 0;
     leaves += l->leaf_count;
-    BSQ_TRY(bsq_grow(l->ctx, what, leaves, sizeof *l->ids, &l->ids, &l->id_capacity));
-    BSQ_TRY(bsq_grow(l->ctx, what, leaves, sizeof *l->masks, &l->masks, &l->mask_capacity));
+    BSQ_TRY(BSQ_GROW(l->ctx, what, leaves, &l->ids, &l->id_capacity));
+    BSQ_TRY(BSQ_GROW(l->ctx, what, leaves, &l->masks, &l->mask_capacity));
     for (int s = 0; s < 2; s++) {
         struct vox_records *side = &l->sides[s];
         const uint64_t count = side->count + records[s];
-        BSQ_TRY(
-            bsq_grow(l->ctx, what, count, sizeof *side->records, &side->records, &side->capacity));
+        BSQ_TRY(BSQ_GROW(l->ctx, what, count, &side->records, &side->capacity));
         if (bytes > 0)
             BSQ_TRY(bsq_grow(l->ctx, what, count, bytes, &side->channels, &side->channel_capacity));
     }
@@ -354,11 +345,9 @@ void vox_leaves_clear(struct vox_leaves *leaves)
 
 void vox_leaves_free(struct vox_leaves *leaves)
 {
-    bsq_free(leaves->ctx, leaves->ids);
-    bsq_free(leaves->ctx, leaves->masks);
+    BSQ_FREE(leaves->ctx, leaves->ids, leaves->masks);
     for (int s = 0; s < 2; s++) {
-        bsq_free(leaves->ctx, leaves->sides[s].records);
-        bsq_free(leaves->ctx, leaves->sides[s].channels);
+        BSQ_FREE(leaves->ctx, leaves->sides[s].records, leaves->sides[s].channels);
     }
     vox_leaves_init(leaves, leaves->ctx);
 }

@@ -201,8 +201,7 @@ TEST(test_budget)
     assert_int_equal(bsq_reserve(ctx, "cache", cost_a + 1), BSQ_ENOMEM);
     assert_int_equal(bsq_reserve(ctx, "cache", cost_a), 0);
     bsq_release(ctx, cost_a);
-    bsq_free(ctx, b);
-    bsq_free(ctx, NULL);
+    BSQ_FREE(ctx, b, NULL);
     assert_int_equal(bsq_memory_used(ctx), 0);
     assert_int_equal(bsq_memory_high(ctx), cost_a + cost_b);
     bsq_ctx_destroy(ctx);
@@ -252,7 +251,7 @@ CONTEXT_TEST(test_growing_keeps_content, 1, 0)
     uint64_t capacity = 0, moves = 0;
     for (uint32_t i = 0; i < 1000000; i++) {
         uint64_t before = capacity;
-        assert_int_equal(bsq_grow(ctx, "list", i + UINT64_C(1), sizeof *list, &list, &capacity), 0);
+        assert_int_equal(BSQ_GROW(ctx, "list", i + UINT64_C(1), &list, &capacity), 0);
         moves += capacity != before;
         assert_int_equal((uintptr_t)list % 64, 0);
         list[i] = i * 2654435761u;

@@ -20,11 +20,11 @@ static int set_up(void **state)
     f->options.mesh_path = "low.obj";
     f->options.output_path = "<UDIM>.exr";
     f->options.width = f->options.height = SIZE;
-    int status = bsq_calloc(f->ctx, "", MOST, sizeof *f->mesh.positions, &f->mesh.positions);
-    status |= bsq_calloc(f->ctx, "", MOST, sizeof *f->mesh.normals, &f->mesh.normals);
-    status |= bsq_calloc(f->ctx, "", MOST, sizeof *f->mesh.texcoords, &f->mesh.texcoords);
-    status |= bsq_calloc(f->ctx, "", MOST, sizeof *f->mesh.tangents, &f->mesh.tangents);
-    status |= bsq_calloc(f->ctx, "", MOST, sizeof *f->mesh.directions, &f->mesh.directions);
+    int status = BSQ_CALLOC(f->ctx, "", MOST, &f->mesh.positions);
+    status |= BSQ_CALLOC(f->ctx, "", MOST, &f->mesh.normals);
+    status |= BSQ_CALLOC(f->ctx, "", MOST, &f->mesh.texcoords);
+    status |= BSQ_CALLOC(f->ctx, "", MOST, &f->mesh.tangents);
+    status |= BSQ_CALLOC(f->ctx, "", MOST, &f->mesh.directions);
     *state = f;
     return status;
 }
