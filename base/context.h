@@ -136,13 +136,20 @@ struct bsq_source {
 
 /** Runs a step of a function that returns a status. If the step fails, keeps its code in the local
  * variable `status` and continues at the label `done`, where the function frees what it holds and
- * returns `status`. Codes above 0 are no failures. A function without anything to free returns at
- * `done` only. */
+ * returns `status`. Codes above 0 are no failures. */
 #define BSQ_TRY(step)                                                                              \
     do {                                                                                           \
         status = (step);                                                                           \
         if (status < 0)                                                                            \
             goto done;                                                                             \
+    } while (0)
+
+/** Runs a step of a function that holds nothing to free: if the step fails, returns its code. */
+#define BSQ_PASS(step)                                                                             \
+    do {                                                                                           \
+        const int status_ = (step);                                                                \
+        if (status_ < 0)                                                                           \
+            return status_;                                                                        \
     } while (0)
 
 /** Records the description of a failure and returns `status`. A context keeps only its first

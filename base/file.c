@@ -180,9 +180,7 @@ int bsq_pipe_read(struct bsq_ctx *ctx, int fd, const char *path, void *buffer, u
     enum { PATIENCE_MS = 50 };
     struct pollfd poll_fd = {.fd = fd, .events = POLLIN};
     for (;;) {
-        int status = bsq_check(ctx);
-        if (status < 0)
-            return status;
+        BSQ_PASS(bsq_check(ctx));
         ssize_t count = poll(&poll_fd, 1, PATIENCE_MS);
         if (count == 0)
             continue;

@@ -143,15 +143,13 @@ static int files_add(struct bsq_ctx *ctx, struct list *list, const char *path, s
     struct bsq_tally *tally = &files_of(ctx)->tally;
     const uint64_t count = list->paths.count;
     uint64_t number = 0;
-    int status = 0;
-    BSQ_TRY(
+    BSQ_PASS(
         bsq_tally_grow(ctx, tally, count + 1, sizeof *list->files, &list->files, &list->capacity));
-    BSQ_TRY(bsq_texts_add(ctx, tally, &list->paths, path, &number));
+    BSQ_PASS(bsq_texts_add(ctx, tally, &list->paths, path, &number));
     *out = &list->files[number];
     if (number == count)
         **out = (struct noted){.path = list->paths.list[number], .place = files_find_place(path)};
-done:
-    return status;
+    return 0;
 }
 
 /* ---- inputs ---- */

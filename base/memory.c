@@ -279,9 +279,7 @@ static int memory_allocate(struct bsq_ctx *ctx, const char *what, uint64_t count
     uint64_t bytes;
     if (!size_of_array(count, size, &bytes))
         return fail_overflow(ctx, what, count, size);
-    int status = bsq_reserve(ctx, what, bsq_block_cost(bytes));
-    if (status < 0)
-        return status;
+    BSQ_PASS(bsq_reserve(ctx, what, bsq_block_cost(bytes)));
     void *payload = NULL;
     if (is_large(bytes)) {
         payload = allocate_large(bytes);
@@ -390,11 +388,8 @@ int(bsq_grow)(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t si
             return fail_overflow(ctx, what, count, size);
         fits = fits && try_reserve(ctx, more_cost(bytes, old_cost));
     } while (!fits && wanted > count);
-    if (!fits) {
-        int status = bsq_reserve(ctx, what, more_cost(bytes, old_cost));
-        if (status < 0)
-            return status;
-    }
+    if (!fits)
+        BSQ_PASS(bsq_reserve(ctx, what, more_cost(bytes, old_cost)));
     void *grown = resize(payload, bytes);
     if (!grown) {
         bsq_release(ctx, more_cost(bytes, old_cost));

@@ -318,9 +318,7 @@ int bsq_output_expect(struct bsq_output *output, uint64_t size)
     while (fallocate(output->fd, 0, 0, (off64_t)size) != 0) {
         if (errno != EINTR)
             return prevents_writing(errno) ? bsq_output_fail_write(output, errno) : 0;
-        int status = bsq_check(output->ctx);
-        if (status < 0)
-            return status;
+        BSQ_PASS(bsq_check(output->ctx));
     }
     return 0;
 }

@@ -28,17 +28,15 @@ static int commit_fail_create(struct bsq_output *output, int error)
 static int copy_whole(struct bsq_output *output, const struct bsq_file *from, uint64_t size)
 {
     char buffer[1 << 16];
-    int status = 0;
     output->position = output->sent = 0;
     while (output->position < size) {
         uint64_t left = size - output->position;
         uint64_t part = left < sizeof buffer ? left : sizeof buffer;
-        BSQ_TRY(bsq_check(output->ctx));
-        BSQ_TRY(bsq_file_read(output->ctx, from, buffer, part, output->position));
-        BSQ_TRY(bsq_output_write(output, buffer, part));
+        BSQ_PASS(bsq_check(output->ctx));
+        BSQ_PASS(bsq_file_read(output->ctx, from, buffer, part, output->position));
+        BSQ_PASS(bsq_output_write(output, buffer, part));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Copies the unnamed file to one with a temporary name, on file systems that cannot name it later.
@@ -172,18 +170,16 @@ static int sync_directory(struct bsq_output *output)
 /* Does all that may fail for want of space or descriptors. Opens each directory once. */
 static int commit_prepare(struct bsq_output *const *outputs, unsigned count)
 {
-    int status = 0;
     for (unsigned i = 0; i < count; i++)
-        BSQ_TRY(bsq_output_sync(outputs[i]));
+        BSQ_PASS(bsq_output_sync(outputs[i]));
     for (unsigned i = 0; i < count; i++)
         if (i == 0 || strcmp(outputs[i]->directory, outputs[i - 1]->directory) != 0)
-            BSQ_TRY(open_directory(outputs[i]));
+            BSQ_PASS(open_directory(outputs[i]));
     for (unsigned i = 0; i < count; i++) {
-        BSQ_TRY(bsq_check(outputs[i]->ctx));
-        BSQ_TRY(name_temp(outputs[i]));
+        BSQ_PASS(bsq_check(outputs[i]->ctx));
+        BSQ_PASS(name_temp(outputs[i]));
     }
-done:
-    return status;
+    return 0;
 }
 
 static int give_names(struct bsq_output *const *outputs, unsigned count)

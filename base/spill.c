@@ -59,19 +59,17 @@ static uint8_t *memory_page(const struct bsq_spill *spill, uint64_t number)
 /* Gives a stream an empty page of memory to fill. */
 static int take_page(struct bsq_spill *spill, struct bsq_spill_stream *stream)
 {
-    int status = 0;
     if (spill->pages_taken == spill->slab_count * spill->slab_pages) {
-        BSQ_TRY(BSQ_GROW(spill->ctx, spill->what, spill->slab_count + 1, &spill->slabs,
-                         &spill->slab_capacity));
-        BSQ_TRY(bsq_alloc(spill->ctx, spill->what, spill->slab_pages, spill->page_bytes,
-                          &spill->slabs[spill->slab_count]));
+        BSQ_PASS(BSQ_GROW(spill->ctx, spill->what, spill->slab_count + 1, &spill->slabs,
+                          &spill->slab_capacity));
+        BSQ_PASS(bsq_alloc(spill->ctx, spill->what, spill->slab_pages, spill->page_bytes,
+                           &spill->slabs[spill->slab_count]));
         spill->slab_count++;
     }
     stream->buffer_page = spill->pages_taken++;
     stream->buffer = memory_page(spill, stream->buffer_page);
     spill->streams_without_page--;
-done:
-    return status;
+    return 0;
 }
 
 /* Appends the page being filled, which is at `place`, to the stream's list of pages. */
@@ -81,10 +79,8 @@ static int list_page(struct bsq_spill *spill, struct bsq_spill_stream *stream, u
         return bsq_fail(spill->ctx, BSQ_ENOMEM,
                         "%s: too many pages of %u bytes; more memory is needed", spill->what,
                         spill->page_bytes);
-    int status = BSQ_GROW(spill->ctx, spill->what, spill->page_count + 1, &spill->pages,
-                          &spill->page_capacity);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_GROW(spill->ctx, spill->what, spill->page_count + 1, &spill->pages,
+                      &spill->page_capacity));
     uint32_t number = (uint32_t)spill->page_count++;
     spill->pages[number] = (struct bsq_spill_page){.place = place, .next = BSQ_SPILL_NONE};
     if (stream->last_page == BSQ_SPILL_NONE)
@@ -131,9 +127,7 @@ static int retire_page(struct bsq_spill *spill, struct bsq_spill_stream *stream)
 int bsq_spill_reserve(struct bsq_spill *spill, uint32_t number, uint8_t **at, uint64_t *capacity)
 {
     struct bsq_spill_stream *stream = &spill->list[number];
-    int status = stream->buffer ? 0 : take_page(spill, stream);
-    if (status < 0)
-        return status;
+    BSQ_PASS(stream->buffer ? 0 : take_page(spill, stream));
     *at = stream->buffer + stream->fill;
     *capacity = spill->page_bytes - stream->fill;
     return 0;
@@ -171,16 +165,15 @@ int bsq_spill_add(struct bsq_spill *spill, uint32_t number, const void *bytes, u
 
 int bsq_spill_evict(struct bsq_spill *spill, bool end)
 {
-    int status;
     assert(spill->slab_pages == 1);
-    BSQ_TRY(open_file(spill));
+    BSQ_PASS(open_file(spill));
     spill->page_limit = 0;
     for (uint64_t i = 0; i < spill->page_count; i++) {
         struct bsq_spill_page *page = &spill->pages[i];
         if (page->place & BSQ_SPILL_IN_FILE)
             continue;
         uint8_t **slab = &spill->slabs[page->place];
-        BSQ_TRY(write_page(spill, *slab, spill->page_bytes, &page->place));
+        BSQ_PASS(write_page(spill, *slab, spill->page_bytes, &page->place));
         bsq_free(spill->ctx, *slab);
         *slab = NULL;
     }
@@ -188,15 +181,14 @@ int bsq_spill_evict(struct bsq_spill *spill, bool end)
         struct bsq_spill_stream *stream = &spill->list[i];
         uint64_t place;
         if (stream->fill > 0) {
-            BSQ_TRY(write_page(spill, stream->buffer, stream->fill, &place));
-            BSQ_TRY(list_page(spill, stream, place));
+            BSQ_PASS(write_page(spill, stream->buffer, stream->fill, &place));
+            BSQ_PASS(list_page(spill, stream, place));
         }
         stream->buffer = NULL;
     }
     if (end)
         free_slabs(spill);
-done:
-    return status;
+    return 0;
 }
 
 /* ---- reading ---- */

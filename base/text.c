@@ -158,9 +158,7 @@ int bsq_tally_grow(struct bsq_ctx *ctx, struct bsq_tally *tally, uint64_t count,
         return 0;
     while (wanted < count)
         wanted *= 2;
-    int status = bsq_tally_add(ctx, tally, (wanted - *capacity) * size);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bsq_tally_add(ctx, tally, (wanted - *capacity) * size));
     memcpy(&list, inout, sizeof list);
     list = reallocarray(list, wanted, size);
     if (!list)

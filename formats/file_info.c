@@ -275,9 +275,7 @@ static int describe_tris(struct bsq_ctx *ctx, const char *path, json_t **out)
 {
     struct fmt_tris_file *file;
     double min[3], max[3];
-    int status = fmt_tris_open(ctx, path, &file);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_tris_open(ctx, path, &file));
     const struct fmt_tris_header *h = fmt_tris_get_header(file);
     json_t *channels = json_array();
     for (int axis = 0; axis < 3; axis++) {

@@ -48,25 +48,23 @@ static const char *advice(enum fmt_kind kind)
 
 int fmt_recognise_scan(struct bsq_ctx *ctx, const char *path, enum fmt_kind *out)
 {
-    int status = fmt_recognise(ctx, path, out);
-    if (status == 0 && *out != FMT_KIND_TRIS && *out != FMT_KIND_NVDB)
-        status = bsq_fail(ctx, BSQ_EDATA, "%s: neither a chunk file nor a NanoVDB file%s", path,
-                          advice(*out));
-    return status;
+    BSQ_PASS(fmt_recognise(ctx, path, out));
+    if (*out != FMT_KIND_TRIS && *out != FMT_KIND_NVDB)
+        return bsq_fail(ctx, BSQ_EDATA, "%s: neither a chunk file nor a NanoVDB file%s", path,
+                        advice(*out));
+    return 0;
 }
 
 static int verify_tris(struct bsq_ctx *ctx, const char *path, struct fmt_verify_report *report)
 {
     struct fmt_tris_file *file;
-    int status = fmt_tris_open(ctx, path, &file);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_tris_open(ctx, path, &file));
     const struct fmt_tris_header *header = fmt_tris_get_header(file);
     report->version = FMT_TRIS_VERSION;
     report->triangles = header->triangle_count;
     report->chunks = header->chunk_count;
     bsq_progress_begin(ctx, "verifying", "bytes", report->file_bytes);
-    status = fmt_tris_verify(file, &report->vertices);
+    int status = fmt_tris_verify(file, &report->vertices);
     bsq_progress_end(ctx);
     fmt_tris_close(file);
     return status;
@@ -75,9 +73,7 @@ static int verify_tris(struct bsq_ctx *ctx, const char *path, struct fmt_verify_
 static int verify_nvdb(struct bsq_ctx *ctx, const char *path, struct fmt_verify_report *report)
 {
     struct fmt_nvdb_grid grid;
-    int status = fmt_nvdb_open(ctx, path, &grid);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_nvdb_open(ctx, path, &grid));
     report->version = (uint32_t)fmt_nvdb_trailer_version(&grid);
     fmt_nvdb_version(grid.info.type, report->nanovdb_version);
     report->is_mask = grid.info.type == FMT_NVDB_MASK;
@@ -87,7 +83,7 @@ static int verify_nvdb(struct bsq_ctx *ctx, const char *path, struct fmt_verify_
     report->voxel_size = grid.info.voxel_size;
     report->has_color = grid.info.has_color;
     bsq_progress_begin(ctx, "verifying", "bytes", report->file_bytes);
-    status = fmt_nvdb_verify(ctx, &grid);
+    int status = fmt_nvdb_verify(ctx, &grid);
     bsq_progress_end(ctx);
     fmt_nvdb_close(ctx, &grid);
     return status;
@@ -96,14 +92,11 @@ static int verify_nvdb(struct bsq_ctx *ctx, const char *path, struct fmt_verify_
 int fmt_verify(struct bsq_ctx *ctx, const char *path, struct fmt_verify_report *report)
 {
     struct bsq_file file;
-    int status;
-    BSQ_TRY(bsq_clear_report(ctx, "fmt_verify_report", report, sizeof *report));
-    BSQ_TRY(fmt_recognise_scan(ctx, path, &report->kind));
-    BSQ_TRY(bsq_file_open(ctx, path, &file));
+    BSQ_PASS(bsq_clear_report(ctx, "fmt_verify_report", report, sizeof *report));
+    BSQ_PASS(fmt_recognise_scan(ctx, path, &report->kind));
+    BSQ_PASS(bsq_file_open(ctx, path, &file));
     report->file_bytes = file.size;
     bsq_file_close(ctx, &file);
-    status = report->kind == FMT_KIND_TRIS ? verify_tris(ctx, path, report)
-                                           : verify_nvdb(ctx, path, report);
-done:
-    return status;
+    return report->kind == FMT_KIND_TRIS ? verify_tris(ctx, path, report)
+                                         : verify_nvdb(ctx, path, report);
 }

@@ -24,24 +24,20 @@ enum { BUFFER_BYTES = 1 << 20, WHOLE_BYTES = 64 << 20, END_BYTES = 4096 };
 static int add_bytes(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t begin, uint64_t end,
                      void *buffer, XXH3_state_t *state)
 {
-    int status = 0;
     for (uint64_t at = begin; at < end; at += BUFFER_BYTES) {
         const uint64_t size = end - at < BUFFER_BYTES ? end - at : BUFFER_BYTES;
-        BSQ_TRY(bsq_check(ctx));
-        BSQ_TRY(bsq_file_read(ctx, file, buffer, size, at));
+        BSQ_PASS(bsq_check(ctx));
+        BSQ_PASS(bsq_file_read(ctx, file, buffer, size, at));
         XXH3_128bits_update(state, buffer, size);
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Adds the checksum of a chunk file, whose header, materials and table are checked. */
 static int add_checksum(struct bsq_ctx *ctx, const char *path, XXH3_state_t *state)
 {
     struct fmt_tris_file *chunks;
-    const int status = fmt_tris_open(ctx, path, &chunks);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_tris_open(ctx, path, &chunks));
     const uint64_t checksum = fmt_tris_checksum(chunks);
     XXH3_128bits_update(state, &checksum, sizeof checksum);
     fmt_tris_close(chunks);

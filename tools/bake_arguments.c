@@ -274,17 +274,15 @@ int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int 
 int bake_arguments_map_inputs(struct cli *cli, struct bake_arguments *arguments)
 {
     const struct cli_table table = bake_arguments_table(arguments);
-    int status = 0;
     for (int i = 0; i < arguments->file_count; i++) {
         const char *path = arguments->files[i];
-        BSQ_TRY(cli_map_input(cli, &path));
+        BSQ_PASS(cli_map_input(cli, &path));
         arguments->files[i] = (char *)(uintptr_t)path;
     }
-    BSQ_TRY(cli_map_inputs(cli, &table));
+    BSQ_PASS(cli_map_inputs(cli, &table));
     for (uint32_t i = 0; i < arguments->transfers.count; i++)
-        BSQ_TRY(cli_map_input(cli, &arguments->transfers.maps[i].texture_path));
-done:
-    return status;
+        BSQ_PASS(cli_map_input(cli, &arguments->transfers.maps[i].texture_path));
+    return 0;
 }
 
 /* Writes the inputs that are scans, or those that are not, to `out`. Returns their number, or a
@@ -295,9 +293,7 @@ static int take_inputs(struct cli *cli, const struct bake_arguments *arguments, 
     int count = 0;
     for (int i = 0; i < arguments->file_count; i++) {
         enum fmt_kind kind;
-        int status = fmt_recognise(cli->ctx, arguments->files[i], &kind);
-        if (status < 0)
-            return status;
+        BSQ_PASS(fmt_recognise(cli->ctx, arguments->files[i], &kind));
         if ((kind == FMT_KIND_TRIS || kind == FMT_KIND_NVDB) == scans)
             out[count++] = arguments->files[i];
     }

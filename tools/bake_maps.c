@@ -281,16 +281,13 @@ int bake_arguments_look(struct cli *cli, struct bake_arguments *arguments)
     const struct cli_table table = bake_arguments_table(arguments);
     const bool fills = bake->preset > 0 && bake->pack_count > 0 && !cli_is_given(&table, "pack");
     struct additions to = {cli, arguments};
-    int status;
-    BSQ_TRY(name_in_folder(cli, arguments));
-    BSQ_TRY(bake_check_options(cli->ctx, bake));
-    BSQ_TRY(bake_look(cli->ctx, bake, arguments->given,
-                      fills || bake->maps & BAKE_MAPS_ALL ? bake_maps_add_channel : NULL, &to));
+    BSQ_PASS(name_in_folder(cli, arguments));
+    BSQ_PASS(bake_check_options(cli->ctx, bake));
+    BSQ_PASS(bake_look(cli->ctx, bake, arguments->given,
+                       fills || bake->maps & BAKE_MAPS_ALL ? bake_maps_add_channel : NULL, &to));
     if (fills)
-        BSQ_TRY(fill_packs(cli, arguments));
-    status = bake_check_options(cli->ctx, bake);
-done:
-    return status;
+        BSQ_PASS(fill_packs(cli, arguments));
+    return bake_check_options(cli->ctx, bake);
 }
 
 /* ---- packs, presets and quality ---- */
@@ -422,12 +419,9 @@ int bake_maps_take(struct cli *cli, void *arg, const struct bsq_option *row, con
 
 int bake_maps_finish(struct cli *cli, struct bake_arguments *arguments)
 {
-    int status;
-    BSQ_TRY(apply_settings(cli, arguments));
-    BSQ_TRY(finish_packs(cli, arguments));
-    status = finish_transfers(cli, arguments);
-done:
-    return status;
+    BSQ_PASS(apply_settings(cli, arguments));
+    BSQ_PASS(finish_packs(cli, arguments));
+    return finish_transfers(cli, arguments);
 }
 
 static void free_transfers(struct bake_transfers *list)

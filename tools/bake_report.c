@@ -184,7 +184,6 @@ static int print_map(void *arg, const struct bake_file *file)
 static int bake_report_text(const struct cli *cli, const struct bake_arguments *arguments,
                             struct bake_report *report)
 {
-    int status = 0;
     const struct bake_options *bake = &arguments->bake;
     char samples[CLI_TEXT], misses[CLI_TEXT];
     print_coverage(arguments, report);
@@ -209,7 +208,7 @@ static int bake_report_text(const struct cli *cli, const struct bake_arguments *
     print_voxels(report);
     print_unseen(report, bake->parts > 0);
     for (uint32_t i = 0; i < report->tile_count; i++)
-        BSQ_TRY(bake_list_files(cli->ctx, bake, &report->tiles[i], print_map, report));
+        BSQ_PASS(bake_list_files(cli->ctx, bake, &report->tiles[i], print_map, report));
     if (bake->preview_path)
         cli_print("%s: preview\n", bake->preview_path);
     if (bake->glb_path)
@@ -229,8 +228,7 @@ static int bake_report_text(const struct cli *cli, const struct bake_arguments *
         cli_print("scan: %s\n",
                   cli_counted_text(report->chunk_loads, "chunk loaded", "chunks loaded", samples));
     cli_print_cost(cli);
-done:
-    return status;
+    return 0;
 }
 
 static int add_path(void *arg, const struct bake_file *file)
@@ -404,9 +402,7 @@ static int compare_map(void *arg, const struct bake_file *file)
     options.a_mask_path = masked ? r->masks[0] : NULL;
     options.b_mask_path = masked ? r->masks[1] : NULL;
     options.page = r->page;
-    const int status = bake_compare(r->cli->ctx, &options, &report);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bake_compare(r->cli->ctx, &options, &report));
     cli_json_append(&r->comparisons, page_comparison_json(&options, &report));
     if (!r->cli->json)
         cli_print("%s against %s: mean %.4g, p99 %.4g, max %.4g (%s)\n", file->path, path,

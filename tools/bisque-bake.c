@@ -37,16 +37,13 @@ done:
 /* Does what the command line asks for. */
 static int bake_tool_work(struct cli *cli, struct bake_arguments *arguments, bool *missed)
 {
-    int status = 0;
-    BSQ_TRY(cli_create_context(cli));
-    BSQ_TRY(bake_arguments_map_inputs(cli, arguments));
+    BSQ_PASS(cli_create_context(cli));
+    BSQ_PASS(bake_arguments_map_inputs(cli, arguments));
     if (arguments->list_devices)
         return bake_report_devices(cli);
-    BSQ_TRY(bake_arguments_sort_inputs(cli, arguments));
-    status = arguments->list_tiles ? bake_report_tiles(cli, &arguments->bake)
-                                   : bake_maps(cli, arguments, missed);
-done:
-    return status;
+    BSQ_PASS(bake_arguments_sort_inputs(cli, arguments));
+    return arguments->list_tiles ? bake_report_tiles(cli, &arguments->bake)
+                                 : bake_maps(cli, arguments, missed);
 }
 
 int main(int argc, char **argv)

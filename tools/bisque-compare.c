@@ -120,16 +120,14 @@ static int compare_tool_check_outputs(struct cli *cli, const struct bake_compare
 {
     const char *inputs[] = {compare->a_path, compare->b_path, compare->a_mask_path,
                             compare->b_mask_path};
-    int status = 0;
     for (int i = 0; i < 4; i++)
         if (inputs[i])
-            BSQ_TRY(bsq_note_input(cli->ctx, inputs[i], i < 2 ? "a map" : "a mask"));
-    BSQ_TRY(cli_check_outputs(cli, &compare->heatmap_path, 1));
+            BSQ_PASS(bsq_note_input(cli->ctx, inputs[i], i < 2 ? "a map" : "a mask"));
+    BSQ_PASS(cli_check_outputs(cli, &compare->heatmap_path, 1));
     if (compare->heatmap_path && !cli_ends_with(compare->heatmap_path, ".png"))
         return cli_usage(cli, "%s: the picture is a PNG file: its name must end in .png",
                          compare->heatmap_path);
-done:
-    return status;
+    return 0;
 }
 
 /* ---- results ---- */
@@ -227,16 +225,14 @@ done:
 static int map_inputs(struct cli *cli, struct arguments *arguments)
 {
     struct bake_compare_options *compare = &arguments->compare;
-    int status = 0;
-    BSQ_TRY(cli_map_inputs(cli, &(struct cli_table){rows, ROWS, arguments, NULL}));
-    BSQ_TRY(cli_map_input(cli, &compare->a_path));
-    BSQ_TRY(cli_map_input(cli, &compare->b_path));
+    BSQ_PASS(cli_map_inputs(cli, &(struct cli_table){rows, ROWS, arguments, NULL}));
+    BSQ_PASS(cli_map_input(cli, &compare->a_path));
+    BSQ_PASS(cli_map_input(cli, &compare->b_path));
     if (!compare->a_mask_path)
         compare->a_mask_path = arguments->mask;
     if (!compare->b_mask_path)
         compare->b_mask_path = arguments->mask;
-done:
-    return status;
+    return 0;
 }
 
 /* ---- a mesh and a scan ---- */
@@ -277,9 +273,7 @@ static int compare_surfaces(struct cli *cli, const struct arguments *arguments, 
                              limit_rows[i].option);
     if (arguments->report)
         return cli_usage(cli, "--report is for maps, not for a mesh and a scan");
-    int status = compare_tool_measure(cli, arguments, &a, &b);
-    if (status < 0)
-        return status;
+    BSQ_PASS(compare_tool_measure(cli, arguments, &a, &b));
     *failures = count_failures(cli, arguments,
                                &(struct bake_compare_report){.mean = fmax(a.mean, b.mean),
                                                              .p99 = fmax(a.p99, b.p99),
@@ -299,11 +293,10 @@ static int compare_surfaces(struct cli *cli, const struct arguments *arguments, 
 static int compare(struct cli *cli, struct arguments *arguments, int *failures)
 {
     bool surfaces = true; /* all inputs but the first are chunk files */
-    int status = 0;
-    BSQ_TRY(map_inputs(cli, arguments));
+    BSQ_PASS(map_inputs(cli, arguments));
     for (uint32_t i = 1; i < arguments->input_count && surfaces; i++) {
         enum fmt_kind kind = FMT_KIND_MESH;
-        BSQ_TRY(fmt_recognise(cli->ctx, arguments->inputs[i], &kind));
+        BSQ_PASS(fmt_recognise(cli->ctx, arguments->inputs[i], &kind));
         surfaces = kind == FMT_KIND_TRIS;
     }
     if (surfaces)
@@ -311,9 +304,7 @@ static int compare(struct cli *cli, struct arguments *arguments, int *failures)
     if (arguments->input_count > 2)
         return cli_usage(cli, "%u files: two maps, or a mesh and chunk files, are needed",
                          arguments->input_count);
-    status = compare_maps(cli, arguments, failures);
-done:
-    return status;
+    return compare_maps(cli, arguments, failures);
 }
 
 int main(int argc, char **argv)

@@ -142,16 +142,14 @@ static int simplify_tool_parse_arguments(struct cli *cli, struct arguments *argu
 static int simplify_tool_recognise_inputs(struct cli *cli, struct arguments *arguments,
                                           const char **inputs, uint32_t count)
 {
-    int status = 0;
     for (uint32_t i = 0; i < count; i++)
-        BSQ_TRY(cli_map_input(cli, &inputs[i]));
-    BSQ_TRY(cli_recognise_scans(cli, inputs, count,
-                                "a grid has no triangles; give the scan or its chunk file (.tris)",
-                                &arguments->scans));
+        BSQ_PASS(cli_map_input(cli, &inputs[i]));
+    BSQ_PASS(cli_recognise_scans(cli, inputs, count,
+                                 "a grid has no triangles; give the scan or its chunk file (.tris)",
+                                 &arguments->scans));
     arguments->simplify.tris_paths = arguments->scans.chunks;
     arguments->simplify.tris_count = arguments->scans.chunk_count;
-done:
-    return status;
+    return 0;
 }
 
 /* Sorts the meshes into a temporary chunk file. */

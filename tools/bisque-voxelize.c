@@ -26,17 +26,15 @@ done:
 static int note_images(struct bsq_ctx *ctx, const struct voxelize_arguments *arguments)
 {
     const struct vox_sort_options *sort = &arguments->sort;
-    int status = 0;
     if (sort->texture_path)
-        BSQ_TRY(fmt_note_texture(ctx, sort->texture_path, "the texture"));
+        BSQ_PASS(fmt_note_texture(ctx, sort->texture_path, "the texture"));
     if (arguments->grid.scan_normal_map)
-        BSQ_TRY(fmt_note_texture(ctx, arguments->grid.scan_normal_map, "the scan's normal map"));
+        BSQ_PASS(fmt_note_texture(ctx, arguments->grid.scan_normal_map, "the scan's normal map"));
     for (uint32_t i = 0; i < sort->channel_count; i++)
         if (sort->channels[i].texture_path)
-            BSQ_TRY(fmt_note_texture(ctx, sort->channels[i].texture_path, "the texture %s",
-                                     sort->channels[i].name));
-done:
-    return status;
+            BSQ_PASS(fmt_note_texture(ctx, sort->channels[i].texture_path, "the texture %s",
+                                      sort->channels[i].name));
+    return 0;
 }
 
 /* "out/scan.nvdb" gives "out/scan.tris". */
@@ -103,8 +101,7 @@ static int voxelize_tool_sort_scan(struct voxelize_job *job)
     struct voxelize_arguments *arguments = job->arguments;
     struct vox_sort_options *options = &arguments->sort;
     struct bsq_ctx *ctx = job->cli->ctx;
-    int status = 0;
-    BSQ_TRY(voxelize_arguments_add_channels(job->cli, arguments));
+    BSQ_PASS(voxelize_arguments_add_channels(job->cli, arguments));
     options->tris_path = job->tris_path;
     options->temp_tris = job->temp_tris;
     options->keeps_tris = !job->temporary_tris;
@@ -114,9 +111,7 @@ static int voxelize_tool_sort_scan(struct voxelize_job *job)
     options->scan_normals = job->temporary_tris && job->scans.chunk_count > 0
                                 ? BSQ_SCAN_NORMALS_FLAT
                                 : arguments->grid.scan_normals;
-    status = vox_sort(ctx, options, &job->sort);
-done:
-    return status;
+    return vox_sort(ctx, options, &job->sort);
 }
 
 static int make_grid(struct voxelize_job *job)
@@ -194,19 +189,16 @@ static int voxelize_tool_run(struct voxelize_job *job)
 {
     struct cli *cli = job->cli;
     struct voxelize_arguments *arguments = job->arguments;
-    int status = 0;
-    BSQ_TRY(cli_create_context(cli));
-    BSQ_TRY(voxelize_arguments_map_inputs(cli, arguments));
+    BSQ_PASS(cli_create_context(cli));
+    BSQ_PASS(voxelize_arguments_map_inputs(cli, arguments));
     if (cli->verify)
         return cli_verify(cli, (char *const *)arguments->inputs, (int)arguments->input_count);
     if (arguments->info)
         return voxelize_info_print(cli, arguments->inputs, arguments->input_count);
-    BSQ_TRY(note_images(cli->ctx, arguments));
-    BSQ_TRY(voxelize_tool_recognise_inputs(job));
-    BSQ_TRY(do_work(job));
-    status = voxelize_report_print(job);
-done:
-    return status;
+    BSQ_PASS(note_images(cli->ctx, arguments));
+    BSQ_PASS(voxelize_tool_recognise_inputs(job));
+    BSQ_PASS(do_work(job));
+    return voxelize_report_print(job);
 }
 
 int main(int argc, char **argv)

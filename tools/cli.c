@@ -124,7 +124,6 @@ static int add_rules(struct cli *cli, const json_t *root)
 {
     const char *version = json_string_value(json_object_get(root, "version"));
     const json_t *rules = json_object_get(root, "path_mapping_rules");
-    int status = 0;
     /* Open Job Description gives an empty object if there are no rules. */
     if (json_is_object(root) && json_object_size(root) == 0)
         return 0;
@@ -132,9 +131,9 @@ static int add_rules(struct cli *cli, const json_t *root)
         return fail_rules(cli, "another version");
     if (rules && !json_is_array(rules))
         return fail_rules(cli, "path_mapping_rules is no list");
-    for (size_t i = 0; i < json_array_size(rules) && status == 0; i++)
-        status = cli_add_rule(cli, json_array_get(rules, i));
-    return status;
+    for (size_t i = 0; i < json_array_size(rules); i++)
+        BSQ_PASS(cli_add_rule(cli, json_array_get(rules, i)));
+    return 0;
 }
 
 /* Loads a file as JSON. *reserved: bytes of the budget that the caller releases. */
@@ -260,16 +259,14 @@ bool cli_ends_with(const char *text, const char *ending)
 
 int cli_check_outputs(struct cli *cli, const char *const *paths, unsigned count)
 {
-    int status = 0;
     for (unsigned i = 0; i < count; i++) {
         for (unsigned j = 0; j < i; j++)
             if (paths[i] && paths[j] && bsq_same_file(paths[i], paths[j]))
                 return cli_usage(cli, "%s: two outputs have this name", paths[i]);
         if (paths[i])
-            BSQ_TRY(bsq_output_check(cli->ctx, paths[i]));
+            BSQ_PASS(bsq_output_check(cli->ctx, paths[i]));
     }
-done:
-    return status;
+    return 0;
 }
 
 int cli_map_input(struct cli *cli, const char **path)
@@ -284,16 +281,15 @@ int cli_map_input(struct cli *cli, const char **path)
 int cli_recognise_scans(struct cli *cli, const char *const *paths, uint32_t count,
                         const char *advice, struct cli_scans *out)
 {
-    int status = 0;
     out->meshes = calloc(count, sizeof *out->meshes);
     out->chunks = calloc(count, sizeof *out->chunks);
     if (!out->meshes || !out->chunks)
         return bsq_fail_errno(cli->ctx, BSQ_ENOMEM, ENOMEM, "%s", paths[0]);
     for (uint32_t i = 0; i < count; i++) {
         enum fmt_kind kind = FMT_KIND_MESH;
-        BSQ_TRY(fmt_recognise(cli->ctx, paths[i], &kind));
+        BSQ_PASS(fmt_recognise(cli->ctx, paths[i], &kind));
         if (kind != FMT_KIND_PIPE)
-            BSQ_TRY(bsq_note_input(cli->ctx, paths[i], "the scan"));
+            BSQ_PASS(bsq_note_input(cli->ctx, paths[i], "the scan"));
         if (kind == FMT_KIND_NVDB || kind == FMT_KIND_VDB)
             return bsq_fail(cli->ctx, BSQ_EDATA, "%s: %s", paths[i], advice);
         if (kind == FMT_KIND_TRIS)
@@ -301,6 +297,5 @@ int cli_recognise_scans(struct cli *cli, const char *const *paths, uint32_t coun
         else
             out->meshes[out->mesh_count++] = paths[i];
     }
-done:
-    return status;
+    return 0;
 }

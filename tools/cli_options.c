@@ -443,10 +443,8 @@ bool cli_is_given(const struct cli_table *table, const char *name)
 
 int cli_map_inputs(struct cli *cli, const struct cli_table *table)
 {
-    int status = 0;
     for (const struct bsq_option *row = table->rows; row < table->rows + table->count; row++)
         if (row->kind == BSQ_OPTION_INPUT)
-            BSQ_TRY(cli_map_input(cli, bsq_option_at(row, table->options)));
-done:
-    return status;
+            BSQ_PASS(cli_map_input(cli, bsq_option_at(row, table->options)));
+    return 0;
 }

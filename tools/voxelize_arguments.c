@@ -386,14 +386,12 @@ int voxelize_arguments_map_inputs(struct cli *cli, struct voxelize_arguments *ar
 {
     const struct cli_table table = scan_args_table(arguments);
     const char **inputs = (const char **)(uintptr_t)arguments->inputs;
-    int status = 0;
-    BSQ_TRY(cli_map_inputs(cli, &table));
+    BSQ_PASS(cli_map_inputs(cli, &table));
     for (uint32_t i = 0; i < arguments->sort.channel_count; i++)
-        BSQ_TRY(cli_map_input(cli, &arguments->channels[i].texture_path));
+        BSQ_PASS(cli_map_input(cli, &arguments->channels[i].texture_path));
     for (uint32_t i = 0; i < arguments->input_count; i++)
-        BSQ_TRY(cli_map_input(cli, &inputs[i]));
-done:
-    return status;
+        BSQ_PASS(cli_map_input(cli, &inputs[i]));
+    return 0;
 }
 
 void voxelize_arguments_free(struct voxelize_arguments *arguments)

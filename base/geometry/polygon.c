@@ -122,12 +122,11 @@ static void polygon_put(uint32_t *triangle, uint32_t a, uint32_t b, uint32_t c)
 
 static int polygon_make_fan(struct bsq_ctx *ctx, uint32_t n, uint32_t *triangles)
 {
-    int status = 0;
-    for (uint32_t i = 0; i + 2 < n && status == 0; i++) {
+    for (uint32_t i = 0; i + 2 < n; i++) {
         polygon_put(triangles + 3 * (uint64_t)i, 0, i + 1, i + 2);
-        status = bsq_check_corner(ctx, i);
+        BSQ_PASS(bsq_check_corner(ctx, i));
     }
-    return status;
+    return 0;
 }
 
 /* Cuts a quad from corner 0, as a fan does; if corner 1 or 3 is reflex, from that corner. */
@@ -209,13 +208,12 @@ static int clip_ears(struct bsq_ctx *ctx, struct ring *ring, uint32_t *triangles
 {
     enum leniency leniency = PROPER_EAR;
     uint32_t ear = 0, failed_rounds = 0;
-    int status = 0;
     while (ring->size > 3) {
         uint32_t left = ring->size;
         for (; left > 0 && !is_ear(ring, ear, leniency); left--) {
             ear = ring->corners[ear].next;
             if (left % 64 == 0)
-                BSQ_TRY(bsq_check(ctx));
+                BSQ_PASS(bsq_check(ctx));
         }
         if (left == 0) {
             leniency++;
@@ -230,11 +228,10 @@ static int clip_ears(struct bsq_ctx *ctx, struct ring *ring, uint32_t *triangles
         if (failed_rounds < patience_rounds)
             leniency = PROPER_EAR;
         if (ring->size % 64 == 0)
-            BSQ_TRY(bsq_check(ctx));
+            BSQ_PASS(bsq_check(ctx));
     }
     polygon_put(triangles, ring->corners[ear].previous, ear, ring->corners[ear].next);
-done:
-    return status;
+    return 0;
 }
 
 /* ---- all ---- */
@@ -243,17 +240,16 @@ done:
 static int make_ring(struct bsq_ctx *ctx, struct ring *ring)
 {
     const uint32_t n = ring->size;
-    int status = 0;
     for (uint32_t i = 0; i < n; i++)
         ring->corners[i] = (struct corner){
             .next = i + 1 < n ? i + 1 : 0, .previous = i ? i - 1 : n - 1, .blocks = true};
-    for (uint32_t i = 0; i < n && status == 0; i++) {
+    for (uint32_t i = 0; i < n; i++) {
         classify(ring, i);
         if (ring->corners[i].blocks)
             ring->blockers[ring->blocker_count++] = i;
-        status = bsq_check_corner(ctx, i);
+        BSQ_PASS(bsq_check_corner(ctx, i));
     }
-    return status;
+    return 0;
 }
 
 uint64_t bsq_triangulate_scratch(uint32_t n)
@@ -277,9 +273,7 @@ int bsq_triangulate(struct bsq_ctx *ctx, const double (*positions)[3], uint32_t 
                         .size = n,
                         .corners = n <= FEW_CORNERS ? few : scratch};
     ring.blockers = n <= FEW_CORNERS ? few_blockers : (uint32_t *)(void *)(ring.corners + n);
-    const int status = make_ring(ctx, &ring);
-    if (status < 0)
-        return status;
+    BSQ_PASS(make_ring(ctx, &ring));
     if (ring.blocker_count == 0 || dot(ring.normal, ring.normal) == 0)
         return polygon_make_fan(ctx, n, triangles);
     return clip_ears(ctx, &ring, triangles);

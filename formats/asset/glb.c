@@ -184,8 +184,8 @@ static int write_u32(struct bsq_output *output, uint32_t a, uint32_t b)
 static int write_padded(struct bsq_output *output, const void *bytes, uint64_t size, char fill)
 {
     const char padding[3] = {fill, fill, fill};
-    int status = bsq_output_write(output, bytes, size);
-    return status < 0 ? status : bsq_output_write(output, padding, bsq_align_up(size, 4) - size);
+    BSQ_PASS(bsq_output_write(output, bytes, size));
+    return bsq_output_write(output, padding, bsq_align_up(size, 4) - size);
 }
 
 static int copy_image(struct bsq_ctx *ctx, const struct bsq_file *image, struct bsq_output *output)
@@ -208,21 +208,19 @@ done:
 
 static int write_binary(struct bsq_ctx *ctx, const struct fmt_glb *glb, struct bsq_output *output)
 {
-    int status = 0;
     for (uint32_t i = 0; i < glb->primitive_count; i++) {
         const struct fmt_glb_primitive *primitive = &glb->primitives[i];
         const void *vertices =
             primitive->vertices ? (const void *)primitive->vertices : primitive->shaded;
-        BSQ_TRY(bsq_output_write(output, vertices,
-                                 (uint64_t)primitive->vertex_count * glb_vertex_bytes(primitive)));
-        BSQ_TRY(bsq_output_write(output, primitive->indices,
-                                 (uint64_t)primitive->index_count * sizeof *primitive->indices));
+        BSQ_PASS(bsq_output_write(output, vertices,
+                                  (uint64_t)primitive->vertex_count * glb_vertex_bytes(primitive)));
+        BSQ_PASS(bsq_output_write(output, primitive->indices,
+                                  (uint64_t)primitive->index_count * sizeof *primitive->indices));
     }
     for (uint32_t i = 0; i < glb->primitive_count; i++)
         for (int k = 0; k < FMT_GLB_TEXTURES && !glb->primitives[i].plain; k++)
-            BSQ_TRY(copy_image(ctx, glb->materials[i].textures[k], output));
-done:
-    return status;
+            BSQ_PASS(copy_image(ctx, glb->materials[i].textures[k], output));
+    return 0;
 }
 
 int fmt_glb_write(struct bsq_ctx *ctx, const struct fmt_glb *glb, const char *path,

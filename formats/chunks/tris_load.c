@@ -146,9 +146,7 @@ int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratc
     struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);
     uint8_t *bytes = scratch;
     memset(out, 0, sizeof *out);
-    int status = fmt_tris_read_unchanged(file, bytes, l.bytes, info->offset);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_tris_read_unchanged(file, bytes, l.bytes, info->offset));
     if (XXH3_64bits(bytes, l.bytes) != info->checksum)
         return fmt_tris_damaged_chunk(file, index, "the checksum does not match");
     if (!tris_all_zero(bytes + l.end, l.bytes - l.end))
@@ -244,9 +242,7 @@ static int verify_made_normals(const struct verify *v, uint64_t index, uint8_t *
 {
     struct fmt_tris_normals normals;
     bool valid = true;
-    int status = fmt_tris_load_normals(v->file, index, bytes, &normals);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_tris_load_normals(v->file, index, bytes, &normals));
     for (uint32_t i = 0; i < v->file->chunks[index].vertex_count; i++)
         valid &= bsq_vertex_normal_valid(normals.vertices[i]);
     for (uint32_t i = 0; i < normals.crease_count; i++)
@@ -260,11 +256,8 @@ static int verify_chunk(void *arg, uint64_t index, unsigned worker)
     const struct fmt_tris_chunk_info *info = &v->file->chunks[index];
     uint8_t *bytes = v->scratch + worker * v->worker_bytes;
     struct fmt_tris_chunk chunk = {0};
-    int status = bsq_check(v->ctx);
-    if (status == 0)
-        status = fmt_tris_load(v->file, index, bytes, &chunk);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bsq_check(v->ctx));
+    BSQ_PASS(fmt_tris_load(v->file, index, bytes, &chunk));
     assert(chunk.positions && chunk.triangles);
     const char *fault = tris_fault_of(&chunk, info, bytes + v->chunk_bytes);
     bsq_progress_add(v->ctx, info->size_bytes);

@@ -180,20 +180,18 @@ int fmt_tris_load_normals(const struct fmt_tris_file *file, uint64_t index, void
     const struct bsq_file *from = file->normals.fd >= 0 ? &file->normals : &file->file;
     const uint64_t bytes = info->vertex_count * sizeof *out->vertices,
                    crease_bytes = info->crease_count * sizeof *out->creases;
-    int status;
     *out = (struct fmt_tris_normals){
         .vertices = scratch,
         .creases = (const struct fmt_tris_crease *)(const void *)((char *)scratch + bytes),
         .crease_count = info->crease_count};
-    BSQ_TRY(bsq_file_read(file->ctx, from, scratch, bytes, info->normals_offset));
+    BSQ_PASS(bsq_file_read(file->ctx, from, scratch, bytes, info->normals_offset));
     if (crease_bytes > 0)
-        BSQ_TRY(bsq_file_read(file->ctx, from, (char *)scratch + bytes, crease_bytes,
-                              info->creases_offset));
-    BSQ_TRY(bsq_file_check(file->ctx, from));
+        BSQ_PASS(bsq_file_read(file->ctx, from, (char *)scratch + bytes, crease_bytes,
+                               info->creases_offset));
+    BSQ_PASS(bsq_file_check(file->ctx, from));
     if (XXH3_64bits(scratch, bytes + crease_bytes) != info->normals_checksum)
         return fmt_tris_damaged_chunk(file, index, "the checksum of its normals does not match");
     if (!creases_valid(out, info->vertex_count))
         return fmt_tris_damaged_chunk(file, index, "its creases are not in order");
-done:
-    return status;
+    return 0;
 }

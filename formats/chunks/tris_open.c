@@ -115,15 +115,13 @@ static int read_tail(struct fmt_tris_file *file, const struct tris_file_header *
 {
     uint64_t bytes = h->file_bytes - h->materials_offset;
     const uint64_t materials_bytes = h->table_offset - h->materials_offset;
-    int status;
-    BSQ_TRY(bsq_alloc(file->ctx, "chunk table", bytes + 1, 1, &file->tail));
-    BSQ_TRY(fmt_tris_read_unchanged(file, file->tail, bytes, h->materials_offset));
+    BSQ_PASS(bsq_alloc(file->ctx, "chunk table", bytes + 1, 1, &file->tail));
+    BSQ_PASS(fmt_tris_read_unchanged(file, file->tail, bytes, h->materials_offset));
     if (XXH3_64bits(file->tail, materials_bytes) != h->materials_checksum)
         return fmt_tris_damaged(file, "the materials' checksum does not match");
     if (XXH3_64bits(file->tail + materials_bytes, bytes - materials_bytes) != h->table_checksum)
         return fmt_tris_damaged(file, "the chunk table's checksum does not match");
-done:
-    return status;
+    return 0;
 }
 
 /* Notes a texture among the job's inputs; for an extent of a file, that file. */
@@ -174,18 +172,16 @@ static int name_image(struct fmt_tris_file *file, const char *range, char **out)
     const uint64_t size = strlen(file->file.path) + strlen(range) + 1;
     struct fmt_extent extent;
     char *name = NULL;
-    int status;
-    BSQ_TRY(
+    BSQ_PASS(
         BSQ_GROW(file->ctx, "images", file->image_count + 1, &file->images, &file->image_capacity));
-    BSQ_TRY(bsq_alloc(file->ctx, "images", size, 1, &name));
+    BSQ_PASS(bsq_alloc(file->ctx, "images", size, 1, &name));
     snprintf(name, size, "%s%s", file->file.path, range);
     file->images[file->image_count++] = *out = name;
     if (fmt_extent_parse(name, &extent) == 0 || extent.base64 ||
         extent.offset < sizeof(struct tris_file_header) || extent.size > file->chunks_offset ||
         extent.offset > file->chunks_offset - extent.size)
         return fmt_tris_damaged(file, "an image is not in the file");
-done:
-    return status;
+    return 0;
 }
 
 /* Reads the path of a texture. */
@@ -294,25 +290,23 @@ static int parse_materials(struct fmt_tris_file *file, const struct tris_file_he
 {
     const uint64_t bytes = h->table_offset - h->materials_offset, count = h->material_count;
     struct cursor cursor = {.from = file->tail, .bytes = bytes};
-    int status;
     /* The header's check has shown that nothing here has many times the bytes of the part. */
-    BSQ_TRY(BSQ_CALLOC(file->ctx, "materials", count + 1, &file->header.materials));
-    BSQ_TRY(BSQ_CALLOC(file->ctx, "channels", count * h->channel_count + 1, &file->sources));
+    BSQ_PASS(BSQ_CALLOC(file->ctx, "materials", count + 1, &file->header.materials));
+    BSQ_PASS(BSQ_CALLOC(file->ctx, "channels", count * h->channel_count + 1, &file->sources));
     /* Each path and name loses the length before it and gains a terminator, so all fit `bytes`. */
-    BSQ_TRY(bsq_alloc(file->ctx, "materials", bytes + 1, 1, &file->paths));
+    BSQ_PASS(bsq_alloc(file->ctx, "materials", bytes + 1, 1, &file->paths));
     cursor.text = file->paths;
-    BSQ_TRY(parse_channels(file, h->channel_count, &cursor));
+    BSQ_PASS(parse_channels(file, h->channel_count, &cursor));
     for (uint32_t i = 0; i < count; i++) {
-        BSQ_TRY(i % 1024 == 0 ? bsq_check(file->ctx) : 0);
-        BSQ_TRY(parse_material(file, &cursor, &file->header.materials[i]));
+        BSQ_PASS(i % 1024 == 0 ? bsq_check(file->ctx) : 0);
+        BSQ_PASS(parse_material(file, &cursor, &file->header.materials[i]));
     }
     if (bsq_align_up(cursor.at, 8) != bytes)
         return fmt_tris_damaged(file, "the materials have another length");
     while (cursor.at < bytes)
         if (file->tail[cursor.at++] != 0)
             return fmt_tris_damaged(file, "the padding after the materials is not zero");
-done:
-    return status;
+    return 0;
 }
 
 static bool bounds_valid(const float min[3], const float max[3])
@@ -364,9 +358,7 @@ static int check_normals_places(struct fmt_tris_file *file, const struct tris_fi
 
 static int parse_table(struct fmt_tris_file *file, const struct tris_file_header *h)
 {
-    int status = BSQ_ALLOC(file->ctx, "chunk table", h->chunk_count + 1, &file->chunks);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_ALLOC(file->ctx, "chunk table", h->chunk_count + 1, &file->chunks));
     memcpy(file->chunks, file->tail + (h->table_offset - h->materials_offset),
            h->chunk_count * sizeof *file->chunks);
     uint64_t offset = h->chunks_offset, triangles = 0;
@@ -408,22 +400,19 @@ static int open_parts(struct fmt_tris_file *file)
 {
     struct tris_file_header h = {0};
     uint64_t got;
-    int status;
-    BSQ_TRY(bsq_file_read_some(file->ctx, &file->file, &h, sizeof h, 0, &got));
+    BSQ_PASS(bsq_file_read_some(file->ctx, &file->file, &h, sizeof h, 0, &got));
     if (memcmp(h.magic, TRIS_MAGIC, got < sizeof h.magic ? got : sizeof h.magic) != 0)
         return bsq_fail(file->ctx, BSQ_EDATA, "%s: not a chunk file", file->file.path);
     if (got >= offsetof(struct tris_file_header, attributes))
-        BSQ_TRY(tris_check_version(file, h.version));
+        BSQ_PASS(tris_check_version(file, h.version));
     if (got < sizeof h)
         return fmt_tris_damaged(file, "the header is cut off");
-    BSQ_TRY(tris_check_header(file, &h));
+    BSQ_PASS(tris_check_header(file, &h));
     copy_header(file, &h);
-    BSQ_TRY(read_tail(file, &h));
-    BSQ_TRY(parse_materials(file, &h));
-    BSQ_TRY(parse_table(file, &h));
-    status = check_bounds(file);
-done:
-    return status;
+    BSQ_PASS(read_tail(file, &h));
+    BSQ_PASS(parse_materials(file, &h));
+    BSQ_PASS(parse_table(file, &h));
+    return check_bounds(file);
 }
 
 /* Takes ownership of `input`, also on failure. */
@@ -452,16 +441,16 @@ int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **
 {
     struct bsq_file input;
     *out = NULL;
-    int status = bsq_file_open(ctx, path, &input);
-    return status < 0 ? status : tris_open_file(ctx, &input, out);
+    BSQ_PASS(bsq_file_open(ctx, path, &input));
+    return tris_open_file(ctx, &input, out);
 }
 
 int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp, struct fmt_tris_file **out)
 {
     struct bsq_file input;
     *out = NULL;
-    int status = bsq_file_duplicate(ctx, temp, &input);
-    return status < 0 ? status : tris_open_file(ctx, &input, out);
+    BSQ_PASS(bsq_file_duplicate(ctx, temp, &input));
+    return tris_open_file(ctx, &input, out);
 }
 
 void fmt_tris_close(struct fmt_tris_file *file)

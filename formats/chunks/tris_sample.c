@@ -317,10 +317,8 @@ int fmt_tris_load_sample(const struct fmt_tris_file *file, uint64_t index, void 
     if (!*found)
         return 0;
     uint8_t *bytes = (uint8_t *)scratch + (tris_sample_memory(count) - tris_sample_bytes(count));
-    const int status = fmt_tris_read_unchanged(file, bytes, tris_sample_bytes(count),
-                                               info->offset + l.values[TRIS_ATTRIBUTE_COUNT - 1]);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_tris_read_unchanged(file, bytes, tris_sample_bytes(count),
+                                     info->offset + l.values[TRIS_ATTRIBUTE_COUNT - 1]));
     if (XXH3_64bits(bytes, tris_sample_bytes(count)) != info->sample_checksum)
         return fmt_tris_damaged(file, "the checksum of a sample does not match");
     for (uint32_t i = 0; i < records; i++) {

@@ -247,8 +247,8 @@ static int put_text(struct fmt_tris_writer *writer, const void *entry, uint64_t 
     if (length >= TRIS_NO_PATH)
         return bsq_fail(writer->ctx, BSQ_EUSAGE, "a material's name or path has %" PRIu64 " bytes",
                         length);
-    int status = tris_put(writer, entry, bytes);
-    return status < 0 ? status : tris_put(writer, text, length);
+    BSQ_PASS(tris_put(writer, entry, bytes));
+    return tris_put(writer, text, length);
 }
 
 /* Appends what a material and a channel of one have first. bits: beside those of `uv`. */
@@ -434,18 +434,15 @@ static int tris_finish(struct fmt_tris_writer *writer)
 {
     struct tris_file_header *h = &writer->header;
     const uint64_t table_bytes = h->chunk_count * sizeof *writer->table;
-    int status;
     h->materials_offset = bsq_output_tell(writer->output);
     h->table_offset = h->materials_offset + writer->materials_bytes;
     h->file_bytes = h->table_offset + table_bytes;
     h->materials_checksum = XXH3_64bits(writer->materials, writer->materials_bytes);
     h->table_checksum = XXH3_64bits(writer->table, table_bytes);
     h->header_checksum = XXH3_64bits(h, offsetof(struct tris_file_header, header_checksum));
-    BSQ_TRY(bsq_output_write(writer->output, writer->materials, writer->materials_bytes));
-    BSQ_TRY(bsq_output_write(writer->output, writer->table, table_bytes));
-    status = bsq_output_write_at(writer->output, h, sizeof *h, 0);
-done:
-    return status;
+    BSQ_PASS(bsq_output_write(writer->output, writer->materials, writer->materials_bytes));
+    BSQ_PASS(bsq_output_write(writer->output, writer->table, table_bytes));
+    return bsq_output_write_at(writer->output, h, sizeof *h, 0);
 }
 
 int fmt_tris_commit(struct fmt_tris_writer *writer, struct bsq_file *out)

@@ -74,9 +74,7 @@ static int nvdb_read_stream(struct section *s, const struct nvdb_stream *stream,
         s->cursor = (struct bsq_spill_cursor){0};
         XXH3_64bits_reset(s->read);
     }
-    int status = bsq_spill_read(stream->spill, stream->number, offset, size, to, &s->cursor);
-    if (status)
-        return status;
+    BSQ_PASS(bsq_spill_read(stream->spill, stream->number, offset, size, to, &s->cursor));
     XXH3_64bits_update(s->read, to, size);
     if (offset + size == stream_bytes(stream) &&
         XXH3_64bits_digest(s->read) != XXH3_64bits_digest(stream->written))
@@ -105,35 +103,30 @@ static int write_nodes(struct section *s, const struct nvdb_level *level)
     struct nvdb_stream *stubs = s->commit->writer->stream[s->number];
     const uint64_t stub_bytes = nvdb_stub_bytes(level);
     uint64_t child = s->commit->layout.section[level->child_section].offset, fill = 0;
-    int status = 0;
     for (uint64_t at = 0; at < stream_bytes(stubs); at += stub_bytes) {
         struct nvdb_stub stub;
-        BSQ_TRY(nvdb_read_stream(s, stubs, &stub, stub_bytes, at));
+        BSQ_PASS(nvdb_read_stream(s, stubs, &stub, stub_bytes, at));
         if (fill + level->node_bytes > PART_BYTES) {
-            BSQ_TRY(write_hashed(s, s->part, fill));
+            BSQ_PASS(write_hashed(s, s->part, fill));
             fill = 0;
         }
         expand_node(level, s->at + fill, &stub, s->part + fill, &child);
         fill += level->node_bytes;
     }
-    status = write_hashed(s, s->part, fill);
-done:
-    return status;
+    return write_hashed(s, s->part, fill);
 }
 
 /* The first stream was hashed when it was written. */
 static int write_streams(struct section *s, struct nvdb_stream streams[2])
 {
-    int status = 0;
     XXH3_copyState(s->hash, streams[0].written);
     for (int i = 0; i < 2; i++)
         for (uint64_t at = 0, size, bytes = stream_bytes(&streams[i]); at < bytes; at += size) {
             size = bytes - at < PART_BYTES ? bytes - at : PART_BYTES;
-            BSQ_TRY(nvdb_read_stream(s, &streams[i], s->part, size, at));
-            BSQ_TRY(i == 0 ? nvdb_write_bytes(s, s->part, size) : write_hashed(s, s->part, size));
+            BSQ_PASS(nvdb_read_stream(s, &streams[i], s->part, size, at));
+            BSQ_PASS(i == 0 ? nvdb_write_bytes(s, s->part, size) : write_hashed(s, s->part, size));
         }
-done:
-    return status;
+    return 0;
 }
 
 static int nvdb_write_content(struct section *s)

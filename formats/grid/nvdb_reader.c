@@ -261,9 +261,7 @@ static int check_head(const struct head *h)
     struct nvdb_blind blind[NVDB_SECTION_COUNT];
     if (h->layout.file_bytes != h->size)
         return damaged(h, h->layout.file_bytes > h->size ? "node counts" : "file size");
-    int status = check_fixed(h);
-    if (status)
-        return status;
+    BSQ_PASS(check_fixed(h));
     fmt_nvdb_fill_blind(&h->layout, blind);
     if (memcmp(h->file + descriptions->offset, blind, descriptions->size) != 0)
         return damaged(h, "channel descriptions");
@@ -447,15 +445,15 @@ static int check_mapped(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
 int fmt_nvdb_open(struct bsq_ctx *ctx, const char *path, struct fmt_nvdb_grid *out)
 {
     memset(out, 0, sizeof(*out));
-    int status = bsq_map_open(ctx, path, &out->map);
-    return status ? status : check_mapped(ctx, out);
+    BSQ_PASS(bsq_map_open(ctx, path, &out->map));
+    return check_mapped(ctx, out);
 }
 
 int fmt_nvdb_open_file(struct bsq_ctx *ctx, struct bsq_file *file, struct fmt_nvdb_grid *out)
 {
     memset(out, 0, sizeof(*out));
-    int status = bsq_map_file(ctx, file, &out->map);
-    return status ? status : check_mapped(ctx, out);
+    BSQ_PASS(bsq_map_file(ctx, file, &out->map));
+    return check_mapped(ctx, out);
 }
 
 void fmt_nvdb_close(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)

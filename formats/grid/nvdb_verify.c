@@ -180,10 +180,8 @@ static int check_children(const struct check *c, const struct nvdb_level *level,
             if (child >= child_count(c, level) || verify_child_of(c, level, node, slot) != child)
                 return bad_node(c, level->name, number, "child");
             child_origin(level, origin, slot, place);
-            int status = is_upper(level) ? check_place(c, child, place, bbox_min, bbox_max)
-                                         : check_leaf(c, child, place, bbox_min, bbox_max);
-            if (status)
-                return status;
+            BSQ_PASS(is_upper(level) ? check_place(c, child, place, bbox_min, bbox_max)
+                                     : check_leaf(c, child, place, bbox_min, bbox_max));
         }
     if (first_child(c, level, number + 1) != child)
         return bad_node(c, level->name, number, "child");
@@ -274,9 +272,7 @@ int fmt_nvdb_check_nodes(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {
     struct check c = {.ctx = ctx, .grid = grid, .file = grid->map.data};
     fmt_nvdb_layout_of(grid, &c.layout);
-    int status = check_root(&c);
-    if (status)
-        return status;
+    BSQ_PASS(check_root(&c));
     const uint64_t tasks = (entry_count(grid) + ENTRIES_PER_TASK - 1) / ENTRIES_PER_TASK;
     return bsq_parallel_for(ctx, (uint64_t)grid->lower_count + grid->upper_count + tasks,
                             check_task, &c);
@@ -325,9 +321,7 @@ static int verify_section(void *arg, uint64_t index, unsigned worker)
     uint64_t hash = 0;
     if (!nvdb_has_checksum(nvdb_flags_of(c->grid), section))
         return 0;
-    int status = hash_section(c, range, &hash);
-    if (status)
-        return status;
+    BSQ_PASS(hash_section(c, range, &hash));
     if (hash != *nvdb_checksum(&c->trailer, section))
         return bsq_fail(c->ctx, BSQ_EDATA, "%s: damaged: wrong checksum of %s at byte %llu",
                         c->grid->map.path, fmt_nvdb_rows[section].name,
@@ -462,15 +456,12 @@ static int verify_records(struct check *c)
 int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {
     struct check c = {.ctx = ctx, .grid = grid, .file = grid->map.data};
-    int status;
     forget_pages(grid, grid->map.data, grid->map.size);
     fmt_nvdb_layout_of(grid, &c.layout);
     c.trailer = *fmt_nvdb_trailer_of(grid, &c.layout);
-    BSQ_TRY(bsq_parallel_for(ctx, NVDB_TRAILER, verify_section, &c));
-    BSQ_TRY(verify_padding(&c));
-    BSQ_TRY(
+    BSQ_PASS(bsq_parallel_for(ctx, NVDB_TRAILER, verify_section, &c));
+    BSQ_PASS(verify_padding(&c));
+    BSQ_PASS(
         bsq_parallel_for(ctx, (uint64_t)grid->upper_count + grid->lower_count, verify_node, &c));
-    status = verify_records(&c);
-done:
-    return status;
+    return verify_records(&c);
 }

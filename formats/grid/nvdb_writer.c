@@ -37,17 +37,16 @@ static int nvdb_put(struct nvdb_stream *stream, const void *bytes, uint64_t size
 {
     const struct bsq_spill_stream *page = &stream->spill->list[stream->number];
     const uint8_t *from = bytes;
-    int status = 0;
-    for (uint64_t part; status == 0 && size > 0; from += part, size -= part) {
+    for (uint64_t part; size > 0; from += part, size -= part) {
         const uint64_t space = PAGE_BYTES - page->fill;
         part = size < space ? size : space;
         if (part == space) {
             XXH3_64bits_update(stream->written, page->buffer, page->fill);
             XXH3_64bits_update(stream->written, from, part);
         }
-        status = bsq_spill_add(stream->spill, stream->number, from, part);
+        BSQ_PASS(bsq_spill_add(stream->spill, stream->number, from, part));
     }
-    return status;
+    return 0;
 }
 
 /* Opens the streams of a section, unless the grid lacks the section or it does not grow. */
@@ -84,16 +83,14 @@ static int begin_channels(struct fmt_nvdb_writer *writer)
                                             writer->counts.channel_list_bytes};
     const uint64_t head_bytes = nvdb_channels_head_bytes(head.list_bytes);
     struct nvdb_stream *stream = &writer->stream[NVDB_CHANNELS][0];
-    int status = 0;
     if (head.words == 0)
         return 0;
-    BSQ_TRY(nvdb_put(stream, &head, sizeof head));
-    BSQ_TRY(nvdb_put(stream, writer->info.channels, head.list_bytes));
-    BSQ_TRY(nvdb_put(stream, zeros, head_bytes - sizeof head - head.list_bytes));
+    BSQ_PASS(nvdb_put(stream, &head, sizeof head));
+    BSQ_PASS(nvdb_put(stream, writer->info.channels, head.list_bytes));
+    BSQ_PASS(nvdb_put(stream, zeros, head_bytes - sizeof head - head.list_bytes));
     for (uint32_t i = 0; i < head.words; i++)
-        BSQ_TRY(nvdb_put(stream, zeros, sizeof(float)));
-done:
-    return status;
+        BSQ_PASS(nvdb_put(stream, zeros, sizeof(float)));
+    return 0;
 }
 
 /* Refuses what fmt_nvdb_check_header() would refuse later. */
@@ -154,9 +151,7 @@ int fmt_nvdb_set_names(struct fmt_nvdb_writer *writer, const char *const *names,
         return bsq_fail(writer->ctx, BSQ_EUSAGE, "%s: the names of ids have 4 GiB", writer->path);
     bsq_free(writer->ctx, writer->names);
     writer->names = NULL;
-    int status = bsq_alloc(writer->ctx, "names of ids", bytes, 1, &writer->names);
-    if (status)
-        return status;
+    BSQ_PASS(bsq_alloc(writer->ctx, "names of ids", bytes, 1, &writer->names));
     uint8_t *to = writer->names;
     memcpy(to, &head, sizeof head);
     to += sizeof head;
@@ -276,36 +271,32 @@ static int open_upper(struct fmt_nvdb_writer *writer, const int32_t origin[3])
 {
     uint32_t count = writer->counts.uppers;
     uint64_t key = nvdb_root_key(origin);
-    int status = 0;
     if (count > 0 && writer->keys[count - 1] == key)
         return 0;
-    BSQ_TRY(close_upper(writer));
-    BSQ_TRY(BSQ_GROW(writer->ctx, "grid root tiles", (uint64_t)count + 1, &writer->keys,
-                     &writer->keys_capacity));
+    BSQ_PASS(close_upper(writer));
+    BSQ_PASS(BSQ_GROW(writer->ctx, "grid root tiles", (uint64_t)count + 1, &writer->keys,
+                      &writer->keys_capacity));
     writer->keys[count] = key;
     writer->counts.uppers = count + 1;
     memset(&writer->upper, 0, sizeof writer->upper);
     fmt_nvdb_bbox_clear(writer->upper.bbox_min, writer->upper.bbox_max);
-done:
-    return status;
+    return 0;
 }
 
 /* Opens the nodes of a region unless they are open already. */
 static int open_region(struct fmt_nvdb_writer *writer, const int32_t origin[3])
 {
     const uint32_t slot = nvdb_upper_slot(origin);
-    int status = 0;
     if (is_open(writer, origin))
         return 0;
-    BSQ_TRY(close_lower(writer));
-    BSQ_TRY(open_upper(writer, origin));
+    BSQ_PASS(close_lower(writer));
+    BSQ_PASS(open_upper(writer, origin));
     writer->last_slot = slot;
     writer->upper.child_mask[slot >> 6] |= UINT64_C(1) << (slot & 63);
     memset(&writer->lower, 0, sizeof writer->lower);
     fmt_nvdb_bbox_clear(writer->lower.bbox_min, writer->lower.bbox_max);
     writer->counts.lowers++;
-done:
-    return status;
+    return 0;
 }
 
 static void leaf_origin(const int32_t region_origin[3], uint32_t id, int32_t origin[3])
@@ -330,9 +321,7 @@ static int append_leaves(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_r
             leaf.bbox_dif[axis] = (uint8_t)(bbox_max[axis] - leaf.bbox_min[axis]);
         memcpy(leaf.mask, region->masks[i], sizeof(leaf.mask));
         leaf.prefix_sum = fmt_nvdb_prefix_sum(leaf.mask);
-        int status = nvdb_put(leaves, &leaf, sizeof leaf);
-        if (status)
-            return status;
+        BSQ_PASS(nvdb_put(leaves, &leaf, sizeof leaf));
         value += count;
         fmt_nvdb_bbox_extend(lower->bbox_min, lower->bbox_max, leaf.bbox_min, bbox_max);
         lower->child_mask[region->leaf_ids[i] >> 6] |= UINT64_C(1) << (region->leaf_ids[i] & 63);
@@ -346,14 +335,13 @@ static int append_channel(struct nvdb_stream *stream, const struct fmt_nvdb_reco
                           uint64_t count, size_t member)
 {
     uint32_t some[512];
-    int status = 0;
-    for (uint64_t done = 0, n; done < count && status == 0; done += n) {
+    for (uint64_t done = 0, n; done < count; done += n) {
         n = count - done < 512 ? count - done : 512;
         for (uint64_t i = 0; i < n; i++)
             memcpy(&some[i], (const uint8_t *)&records[done + i] + member, sizeof *some);
-        status = nvdb_put(stream, some, n * sizeof *some);
+        BSQ_PASS(nvdb_put(stream, some, n * sizeof *some));
     }
-    return status;
+    return 0;
 }
 
 /* Splits first or second records into channels. values: those of further channels. */
@@ -407,9 +395,7 @@ static int append_seconds(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_
         const uint32_t bit = (uint32_t)((first + done) % 32);
         const uint64_t left = region->record_count - done;
         const uint32_t count = left < 32 - bit ? (uint32_t)left : 32 - bit;
-        int status = bit == 0 ? end_entry(writer) : 0;
-        if (status)
-            return status;
+        BSQ_PASS(bit == 0 ? end_entry(writer) : 0);
         writer->entry_bits |= second_bits(region->records + done, count) << bit;
         done += count;
     }
@@ -451,19 +437,15 @@ int fmt_nvdb_append(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region
 
 int fmt_nvdb_writer_finish(struct fmt_nvdb_writer *writer)
 {
-    int status = writer->failed;
-    if (status)
-        return status;
+    BSQ_PASS(writer->failed);
     if (writer->counts.voxels == 0)
         return bsq_fail(writer->ctx, BSQ_EDATA, "%s: the grid has no voxels", writer->path);
-    BSQ_TRY(end_entry(writer));
-    BSQ_TRY(close_lower(writer));
-    BSQ_TRY(close_upper(writer));
+    BSQ_PASS(end_entry(writer));
+    BSQ_PASS(close_lower(writer));
+    BSQ_PASS(close_upper(writer));
     for (int i = 0; i < 2 * NVDB_TRAILER; i++)
         if (writer->stream[i / 2][i % 2].spill)
             XXH3_64bits_update(writer->stream[i / 2][i % 2].written, writer->spill.list[i].buffer,
                                writer->spill.list[i].fill);
-    status = bsq_spill_evict(&writer->spill, true);
-done:
-    return status;
+    return bsq_spill_evict(&writer->spill, true);
 }

@@ -170,24 +170,22 @@ static int exr_in_read_channels(struct reader *reader)
     struct bsq_ctx *ctx = reader->stream.ctx;
     struct fmt_exr_image *image = reader->image;
     const exr_attr_chlist_t *list;
-    int status;
-    BSQ_TRY(fmt_exr_status(&reader->stream, exr_get_channels(reader->file, 0, &list)));
+    BSQ_PASS(fmt_exr_status(&reader->stream, exr_get_channels(reader->file, 0, &list)));
     if (list->num_channels < 1)
         return refuse(reader, "there are no channels");
     uint32_t count = (uint32_t)list->num_channels;
     if ((uint64_t)count * image->width > INT32_MAX / sizeof(float))
         return refuse(reader, "a row of the image is longer than 2 GiB");
-    BSQ_TRY(BSQ_CALLOC(ctx, "EXR channel names", count, &image->channels));
+    BSQ_PASS(BSQ_CALLOC(ctx, "EXR channel names", count, &image->channels));
     image->channel_count = count;
     for (uint32_t c = 0; c < count; ++c) {
         const exr_attr_chlist_entry_t *entry = &list->entries[c];
         if (entry->x_sampling != 1 || entry->y_sampling != 1)
             return refuse(reader, "subsampled channels are not supported");
         reader->pixel_bytes += entry->pixel_type == EXR_PIXEL_HALF ? 2 : 4;
-        BSQ_TRY(bsq_text_copy(ctx, entry->name.str, &image->channels[c]));
+        BSQ_PASS(bsq_text_copy(ctx, entry->name.str, &image->channels[c]));
     }
-done:
-    return status;
+    return 0;
 }
 
 static int exr_in_read_attributes(struct reader *reader)
@@ -333,22 +331,19 @@ static int exr_in_allocate(struct reader *reader, uint32_t across, uint32_t line
     struct bsq_ctx *ctx = reader->stream.ctx;
     const unsigned workers = reader->workers;
     uint64_t chunk_bytes;
-    int status;
-    BSQ_TRY(fmt_exr_status(&reader->stream,
-                           exr_get_chunk_unpacked_size(reader->file, 0, &chunk_bytes)));
+    BSQ_PASS(fmt_exr_status(&reader->stream,
+                            exr_get_chunk_unpacked_size(reader->file, 0, &chunk_bytes)));
     if (chunk_bytes > UINT64_MAX / 4 / workers)
         return refuse(reader, "a block is too large");
     /* OpenEXR allocates packed, unpacked and scratch bytes for each chunk. */
     uint64_t bytes = workers * (3 * chunk_bytes + chunk_bytes / 50 + 4096);
-    BSQ_TRY(bsq_reserve(ctx, "EXR decoding", bytes));
+    BSQ_PASS(bsq_reserve(ctx, "EXR decoding", bytes));
     reader->reserved_bytes = bytes;
-    BSQ_TRY(BSQ_CALLOC(ctx, "EXR decoders", workers, &reader->decoders));
-    BSQ_TRY(BSQ_CALLOC(ctx, "EXR decoders", workers, &reader->ready));
+    BSQ_PASS(BSQ_CALLOC(ctx, "EXR decoders", workers, &reader->decoders));
+    BSQ_PASS(BSQ_CALLOC(ctx, "EXR decoders", workers, &reader->ready));
     reader->across = across;
-    status = bsq_alloc(ctx, "EXR image", (uint64_t)across * lines, reader->kept * sizeof(float),
-                       &reader->samples);
-done:
-    return status;
+    return bsq_alloc(ctx, "EXR image", (uint64_t)across * lines, reader->kept * sizeof(float),
+                     &reader->samples);
 }
 
 static int exr_in_read_header(struct reader *reader, bool by_rows)
@@ -360,17 +355,14 @@ static int exr_in_read_header(struct reader *reader, bool by_rows)
     init.size_fn = file_size;
     init.flags = EXR_CONTEXT_FLAG_DISABLE_CHUNK_RECONSTRUCTION;
     exr_compression_t packing;
-    int status;
-    BSQ_TRY(fmt_exr_check_header(reader->stream.ctx, reader->stream.path, reader->input));
-    BSQ_TRY(
+    BSQ_PASS(fmt_exr_check_header(reader->stream.ctx, reader->stream.path, reader->input));
+    BSQ_PASS(
         fmt_exr_status(&reader->stream, exr_start_read(&reader->file, reader->stream.path, &init)));
-    BSQ_TRY(fmt_exr_status(&reader->stream, exr_get_compression(reader->file, 0, &packing)));
+    BSQ_PASS(fmt_exr_status(&reader->stream, exr_get_compression(reader->file, 0, &packing)));
     if (by_rows && (packing == EXR_COMPRESSION_DWAA || packing == EXR_COMPRESSION_DWAB))
         return BSQ_RETRY;
-    BSQ_TRY(read_layout(reader));
-    status = exr_in_read_channels(reader);
-done:
-    return status;
+    BSQ_PASS(read_layout(reader));
+    return exr_in_read_channels(reader);
 }
 
 static int allocate_places(struct reader *reader)
@@ -394,21 +386,19 @@ static void close_reader(struct reader *reader)
 static int read_image(struct reader *reader)
 {
     struct fmt_exr_image *image = reader->image;
-    int status;
-    BSQ_TRY(exr_in_read_header(reader, false));
-    BSQ_TRY(exr_in_read_attributes(reader));
-    BSQ_TRY(allocate_places(reader));
+    BSQ_PASS(exr_in_read_header(reader, false));
+    BSQ_PASS(exr_in_read_attributes(reader));
+    BSQ_PASS(allocate_places(reader));
     for (uint32_t c = 0; c < image->channel_count; ++c)
         reader->places[c] = c;
     reader->kept = image->channel_count;
-    BSQ_TRY(exr_in_allocate(reader, image->width, image->height));
-    BSQ_TRY(bsq_parallel_for(reader->stream.ctx,
-                             (uint64_t)reader->chunks_across * reader->chunks_down, decode_chunk,
-                             reader));
+    BSQ_PASS(exr_in_allocate(reader, image->width, image->height));
+    BSQ_PASS(bsq_parallel_for(reader->stream.ctx,
+                              (uint64_t)reader->chunks_across * reader->chunks_down, decode_chunk,
+                              reader));
     image->samples = reader->samples;
     reader->samples = NULL;
-done:
-    return status;
+    return 0;
 }
 
 int fmt_exr_read(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *out)
@@ -511,15 +501,12 @@ static int open_rows(struct bsq_ctx *ctx, const char *path, const struct bsq_fil
 int fmt_exr_rows_open(struct bsq_ctx *ctx, const char *path, const struct bsq_file *input,
                       struct fmt_exr_size *size, struct fmt_exr_rows **out)
 {
-    int status = open_rows(ctx, path, input, true, out);
-    if (status < 0)
-        return status;
+    BSQ_PASS(open_rows(ctx, path, input, true, out));
     struct fmt_exr_rows *rows = *out;
     exr_in_choose_channels(&rows->reader);
-    BSQ_TRY(exr_in_allocate(&rows->reader, rows->image.width, row_height(&rows->reader)));
+    BSQ_PASS(exr_in_allocate(&rows->reader, rows->image.width, row_height(&rows->reader)));
     *size = (struct fmt_exr_size){rows->image.width, rows->image.height, rows->reader.kept};
-done:
-    return status;
+    return 0;
 }
 
 int fmt_exr_rows_read(struct fmt_exr_rows *rows, float *out)
@@ -527,14 +514,12 @@ int fmt_exr_rows_read(struct fmt_exr_rows *rows, float *out)
     struct reader *reader = &rows->reader;
     const size_t line = (size_t)rows->image.width * reader->kept;
     const uint32_t row = rows->next / reader->chunk_height, y = rows->next % reader->chunk_height;
-    int status = 0;
     reader->first_row = row;
     for (uint32_t column = 0; y == 0 && column < reader->chunks_across; ++column)
-        BSQ_TRY(decode_chunk(reader, (uint64_t)row * reader->chunks_across + column, 0));
+        BSQ_PASS(decode_chunk(reader, (uint64_t)row * reader->chunks_across + column, 0));
     memcpy(out, reader->samples + y * line, line * sizeof *out);
     rows->next++;
-done:
-    return status;
+    return 0;
 }
 
 /* ---- tiles ---- */
@@ -574,17 +559,13 @@ static int exr_in_find_side(struct fmt_exr_rows *rows)
 int fmt_exr_tiles_open(struct bsq_ctx *ctx, const char *path, const struct bsq_file *input,
                        const char *const *channels, uint32_t count, struct fmt_exr_rows **out)
 {
-    int status = open_rows(ctx, path, input, false, out);
-    if (status < 0)
-        return status;
+    BSQ_PASS(open_rows(ctx, path, input, false, out));
     struct reader *reader = &(*out)->reader;
-    BSQ_TRY(exr_in_read_attributes(reader));
-    BSQ_TRY(exr_in_name_channels(reader, channels, count));
-    BSQ_TRY(exr_in_find_side(*out));
+    BSQ_PASS(exr_in_read_attributes(reader));
+    BSQ_PASS(exr_in_name_channels(reader, channels, count));
+    BSQ_PASS(exr_in_find_side(*out));
     const uint32_t across = (*out)->side > 0 ? (*out)->side : reader->chunk_width;
-    status = exr_in_allocate(reader, across, row_height(reader));
-done:
-    return status;
+    return exr_in_allocate(reader, across, row_height(reader));
 }
 
 const struct fmt_exr_image *fmt_exr_rows_image(const struct fmt_exr_rows *rows)

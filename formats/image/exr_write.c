@@ -300,9 +300,7 @@ static int exr_out_create_image(struct fmt_image_writer *base,
     writer->stream.path = base->path;
     writer->as_half = options->type == FMT_HALF;
     writer->y = options->y;
-    const int status = exr_out_name_channels(writer, options);
-    if (status < 0)
-        return status;
+    BSQ_PASS(exr_out_name_channels(writer, options));
     base->block_rows = options->tile_side > 0 ? options->tile_side : ZIP_ROWS;
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
     init.error_handler_fn = leave_to_caller;

@@ -70,31 +70,26 @@ static int create_encoders(struct fmt_image_writer *writer)
         ((uint64_t)(writer->height - 1) / writer->block_rows + 1) * columns_of(writer);
     const unsigned most = 2 * bsq_threads(writer->ctx);
     const unsigned count = most < blocks ? most : (unsigned)blocks;
-    int status;
     writer->slot_bytes =
         bsq_align_up(sizeof(struct slot) + writer->format->encoder_bytes, _Alignof(max_align_t));
-    BSQ_TRY(bsq_calloc(writer->ctx, "image encoders", count, writer->slot_bytes, &writer->slots));
+    BSQ_PASS(bsq_calloc(writer->ctx, "image encoders", count, writer->slot_bytes, &writer->slots));
     while (writer->slot_count < count)
-        BSQ_TRY(
+        BSQ_PASS(
             writer->format->create_encoder(writer, slot_at(writer, writer->slot_count++)->encoder));
-done:
-    return status;
+    return 0;
 }
 
 static int image_start(struct fmt_image_writer *writer, const char *path,
                        const struct fmt_image_options *options)
 {
     struct bsq_ctx *ctx = writer->ctx;
-    int status;
-    BSQ_TRY(bsq_text_copy(ctx, path, &writer->path));
-    BSQ_TRY(options->temporary ? bsq_output_open_temp(ctx, path, "an image", &writer->output)
-                               : bsq_output_open(ctx, path, &writer->output));
-    BSQ_TRY(writer->format->create(writer, options));
-    BSQ_TRY(create_encoders(writer));
-    BSQ_TRY(bsq_alloc(ctx, "image rows", (uint64_t)writer->block_rows * writer->width,
-                      writer->channel_count * sizeof(float), &writer->pending));
-done:
-    return status;
+    BSQ_PASS(bsq_text_copy(ctx, path, &writer->path));
+    BSQ_PASS(options->temporary ? bsq_output_open_temp(ctx, path, "an image", &writer->output)
+                                : bsq_output_open(ctx, path, &writer->output));
+    BSQ_PASS(writer->format->create(writer, options));
+    BSQ_PASS(create_encoders(writer));
+    return bsq_alloc(ctx, "image rows", (uint64_t)writer->block_rows * writer->width,
+                     writer->channel_count * sizeof(float), &writer->pending);
 }
 
 int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format, const char *path,
@@ -110,9 +105,7 @@ int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format,
     if (status < 0)
         return status;
     void *memory;
-    status = bsq_calloc(ctx, "image writer", 1, format->writer_bytes, &memory);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bsq_calloc(ctx, "image writer", 1, format->writer_bytes, &memory));
     struct fmt_image_writer *writer = memory;
     writer->ctx = ctx;
     writer->format = format;
@@ -250,9 +243,7 @@ int fmt_image_write_rows(struct fmt_image_writer *writer, const float *samples, 
         writer->rows_taken + rows == writer->height ? rows : rows - rows % writer->block_rows;
     if (whole > 0) {
         writer->rows_taken += whole;
-        int status = encode_rows(writer, samples, whole);
-        if (status < 0)
-            return status;
+        BSQ_PASS(encode_rows(writer, samples, whole));
     }
     taken = rows > whole
                 ? fill_block(writer, samples + whole * image_row_samples(writer), rows - whole)

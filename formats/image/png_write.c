@@ -130,9 +130,7 @@ static void filter_row(const uint8_t *row, const uint8_t *above, size_t bytes, s
 
 static int start_deflate(struct bsq_ctx *ctx, struct encoder *encoder)
 {
-    int status = bsq_reserve(ctx, "PNG compression", DEFLATE_BYTES);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bsq_reserve(ctx, "PNG compression", DEFLATE_BYTES));
     if (deflateInit2(&encoder->deflate, DEFLATE_LEVEL, Z_DEFLATED, -WINDOW_BITS, MEMORY_LEVEL,
                      Z_FILTERED) != Z_OK) {
         bsq_release(ctx, DEFLATE_BYTES);
@@ -147,17 +145,15 @@ static int png_out_create_encoder(struct fmt_image_writer *base, void *memory)
     struct encoder *encoder = memory;
     struct bsq_ctx *ctx = base->ctx;
     const uint64_t row_bytes = ((struct png_writer *)base)->row_bytes;
-    int status;
-    BSQ_TRY(start_deflate(ctx, encoder));
+    BSQ_PASS(start_deflate(ctx, encoder));
     /* Includes space for the flush that ends a band. */
     encoder->packed_capacity =
         deflateBound(&encoder->deflate, base->block_rows * (row_bytes + 1)) + 64;
-    BSQ_TRY(bsq_alloc(ctx, "PNG band", 1, encoder->packed_capacity, &encoder->packed));
-    BSQ_TRY(bsq_alloc(ctx, "PNG band", base->block_rows, row_bytes + 1, &encoder->filtered));
+    BSQ_PASS(bsq_alloc(ctx, "PNG band", 1, encoder->packed_capacity, &encoder->packed));
+    BSQ_PASS(bsq_alloc(ctx, "PNG band", base->block_rows, row_bytes + 1, &encoder->filtered));
     for (int i = 0; i < 2; ++i)
-        BSQ_TRY(bsq_alloc(ctx, "PNG row", 1, row_bytes, &encoder->rows[i]));
-done:
-    return status;
+        BSQ_PASS(bsq_alloc(ctx, "PNG row", 1, row_bytes, &encoder->rows[i]));
+    return 0;
 }
 
 static void png_out_free_encoder(struct fmt_image_writer *base, void *memory)
@@ -239,16 +235,13 @@ static int write_chunk(const struct png_writer *writer, const char *name, const 
 {
     struct bsq_output *output = writer->base.output;
     uint8_t head[8], end[4];
-    int status;
     store_u32(head, (uint32_t)size);
     memcpy(head + 4, name, 4);
     const uLong sum = crc32(0, head + 4, 4);
     store_u32(end, (uint32_t)(size > 0 ? crc32_z(sum, data, size) : sum));
-    BSQ_TRY(bsq_output_write(output, head, sizeof head));
-    BSQ_TRY(bsq_output_write(output, data, size));
-    status = bsq_output_write(output, end, sizeof end);
-done:
-    return status;
+    BSQ_PASS(bsq_output_write(output, head, sizeof head));
+    BSQ_PASS(bsq_output_write(output, data, size));
+    return bsq_output_write(output, end, sizeof end);
 }
 
 /* Writes what comes before the texts. Data has no colour space: programs that see one transform the
@@ -312,10 +305,9 @@ static int png_out_write_band(struct fmt_image_writer *base, void *memory,
 static int png_out_describe_image(struct fmt_image_writer *base,
                                   const struct fmt_image_attribute *attributes, uint32_t count)
 {
-    int status = 0;
-    for (uint32_t a = 0; status == 0 && a < count; ++a)
-        status = png_out_write_text((const struct png_writer *)base, &attributes[a]);
-    return status;
+    for (uint32_t a = 0; a < count; ++a)
+        BSQ_PASS(png_out_write_text((const struct png_writer *)base, &attributes[a]));
+    return 0;
 }
 
 static int png_out_start_image(struct fmt_image_writer *base)
@@ -354,8 +346,8 @@ static int png_out_finish_image(struct fmt_image_writer *base)
     struct png_writer *writer = (struct png_writer *)base;
     uint8_t trailer[4];
     store_u32(trailer, writer->checksum);
-    int status = write_chunk(writer, "IDAT", trailer, sizeof trailer);
-    return status < 0 ? status : write_chunk(writer, "IEND", NULL, 0);
+    BSQ_PASS(write_chunk(writer, "IDAT", trailer, sizeof trailer));
+    return write_chunk(writer, "IEND", NULL, 0);
 }
 
 const struct fmt_image_format fmt_png_format = {

@@ -111,12 +111,10 @@ static int read_stored(const struct fmt_input *input, uint8_t *to, uint64_t size
 {
     const uint64_t at = input->whole ? offset : offset % RING_BYTES;
     const uint64_t before = input->whole || size < RING_BYTES - at ? size : RING_BYTES - at;
-    int status = 0;
-    BSQ_TRY(bsq_file_read(input->ctx, &input->temp, to, before, at));
+    BSQ_PASS(bsq_file_read(input->ctx, &input->temp, to, before, at));
     if (before < size)
-        BSQ_TRY(bsq_file_read(input->ctx, &input->temp, to + before, size - before, 0));
-done:
-    return status;
+        BSQ_PASS(bsq_file_read(input->ctx, &input->temp, to + before, size - before, 0));
+    return 0;
 }
 
 /* Appends bytes to the temporary file. Before each DISK_STEP_BYTES after the first ones, twice as
@@ -127,15 +125,13 @@ static int store(struct fmt_input *input, const uint8_t *bytes, uint64_t size)
     const uint64_t at = input->whole ? input->stored : input->stored % RING_BYTES;
     const uint64_t before = input->whole || size < RING_BYTES - at ? size : RING_BYTES - at;
     const bool grows = input->whole || input->stored < RING_BYTES;
-    int status = 0;
     if (grows && input->stored > 0 && input->stored / DISK_STEP_BYTES != end / DISK_STEP_BYTES)
-        BSQ_TRY(bsq_require_disk(input->ctx, input->beside, 2 * DISK_STEP_BYTES));
-    BSQ_TRY(bsq_file_write(input->ctx, &input->temp, bytes, before, at));
+        BSQ_PASS(bsq_require_disk(input->ctx, input->beside, 2 * DISK_STEP_BYTES));
+    BSQ_PASS(bsq_file_write(input->ctx, &input->temp, bytes, before, at));
     if (before < size)
-        BSQ_TRY(bsq_file_write(input->ctx, &input->temp, bytes + before, size - before, 0));
+        BSQ_PASS(bsq_file_write(input->ctx, &input->temp, bytes + before, size - before, 0));
     input->stored = end;
-done:
-    return status;
+    return 0;
 }
 
 /* Unpacks the next bytes, and stores those before a damage, too. */
@@ -264,8 +260,8 @@ int fmt_input_create(struct bsq_ctx *ctx, const char *path, const char *beside, 
 int fmt_input_create_source(struct bsq_ctx *ctx, const char *name, const struct bsq_source *source,
                             struct fmt_input **out)
 {
-    const int status = bsq_check_size(ctx, "bsq_source", source->size, sizeof *source);
-    return status < 0 ? status : input_create(ctx, name, NULL, false, source, out);
+    BSQ_PASS(bsq_check_size(ctx, "bsq_source", source->size, sizeof *source));
+    return input_create(ctx, name, NULL, false, source, out);
 }
 
 /* Drops what was unpacked. */
@@ -432,23 +428,18 @@ int fmt_input_whole(struct fmt_input *input, struct bsq_file *out)
                         "%s: a callback can give OBJ, PLY and STL meshes only", input->path);
     if (fmt_input_is_plain(input))
         return bsq_file_duplicate(input->ctx, &input->file, out);
-    int status = 0;
-    BSQ_TRY(keep_all(input));
-    BSQ_TRY(unpack_until(input, UINT64_MAX));
+    BSQ_PASS(keep_all(input));
+    BSQ_PASS(unpack_until(input, UINT64_MAX));
     const struct bsq_file named = {
         .fd = input->temp.fd, .size = input->stored, .path = input->path};
-    BSQ_TRY(bsq_file_duplicate(input->ctx, &named, out));
-done:
-    return status;
+    return bsq_file_duplicate(input->ctx, &named, out);
 }
 
 int fmt_input_peek(struct fmt_input *input, void *buffer, uint64_t size, uint64_t *got)
 {
     *got = 0;
-    int status = fmt_input_open(input);
-    if (status < 0)
-        return status;
-    status = fmt_input_read_some(input, buffer, size, 0, got);
+    BSQ_PASS(fmt_input_open(input));
+    int status = fmt_input_read_some(input, buffer, size, 0, got);
     const int closed = fmt_input_close(input);
     return status ? status : closed;
 }

@@ -210,24 +210,22 @@ static int step_zstd(struct unpacker *u, uint8_t *out, uint64_t size, uint64_t *
 /* Fills the buffer with the stream's first bytes and makes the decoder. */
 static int unpack_start(struct unpacker *u)
 {
-    int status = 0;
     while (!u->source_ended && u->in_end < UNPACK_HEAD_BYTES)
-        BSQ_TRY(refill(u));
+        BSQ_PASS(refill(u));
     u->packing = packing_of(u->in, u->in_end);
     u->started = true;
     if (u->packing == PACKING_GZIP)
-        BSQ_TRY(BSQ_CALLOC(u->ctx, "unpacking", 1, &u->gzip));
+        BSQ_PASS(BSQ_CALLOC(u->ctx, "unpacking", 1, &u->gzip));
     if (u->packing != PACKING_ZSTD)
         return 0;
-    BSQ_TRY(reserve_zstd(u, DECODER_BYTES));
+    BSQ_PASS(reserve_zstd(u, DECODER_BYTES));
     u->zstd = ZSTD_createDStream();
     if (!u->zstd)
         return bsq_fail(u->ctx, BSQ_ENOMEM, "no memory for unpacking");
     /* The window is reserved before it is used, so the budget limits it. */
     ZSTD_DCtx_setParameter(u->zstd, ZSTD_d_windowLogMax,
                            ZSTD_dParam_getBounds(ZSTD_d_windowLogMax).upperBound);
-done:
-    return status;
+    return 0;
 }
 
 static int copy_plain(struct unpacker *u, uint8_t *out, uint64_t size, uint64_t *got)
@@ -282,8 +280,8 @@ static int unpack_read_bytes(struct unpacker *u, uint8_t *out, uint64_t size, ui
 int fmt_unpack_next(struct unpacker *u, const uint8_t **bytes, uint64_t *size)
 {
     *bytes = u->out;
-    const int status = unpack_read_bytes(u, u->out, u->step, size);
-    return status ? status : *size == u->step;
+    BSQ_PASS(unpack_read_bytes(u, u->out, u->step, size));
+    return *size == u->step;
 }
 
 /* ---- all ---- */

@@ -112,9 +112,7 @@ int fmt_channel_list_split(struct bsq_ctx *ctx, const char *list, uint64_t bytes
     for (uint64_t i = 0; i < bytes; i++)
         most += list[i] == ',';
     *count = 0;
-    int status = bsq_calloc(ctx, "names of channels", most * sizeof **names + bytes + 1, 1, names);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bsq_calloc(ctx, "names of channels", most * sizeof **names + bytes + 1, 1, names));
     char *rest = (char *)(*names + most);
     memcpy(rest, list, bytes);
     while (rest)

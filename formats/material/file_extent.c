@@ -119,9 +119,7 @@ static int fail_base64(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_
 {
     char group[4];
     uint64_t got;
-    int status = bsq_file_read_some(ctx, file, group, sizeof group, offset, &got);
-    if (status)
-        return status;
+    BSQ_PASS(bsq_file_read_some(ctx, file, group, sizeof group, offset, &got));
     return bsq_fail(ctx, BSQ_EDATA, "%s: byte %" PRIu64 ": %s", file->path, offset,
                     memchr(group, '\\', got) ? "escapes in base64 are not read"
                                              : "malformed base64");

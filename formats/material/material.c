@@ -64,10 +64,8 @@ int fmt_material_enter_channel(struct bsq_ctx *ctx, struct fmt_material *materia
     uint64_t capacity = material->channel_count; /* materials have few channels */
     if ((*out = fmt_material_find_channel(material, channel->name)) != NULL)
         return 0;
-    int status = BSQ_GROW(ctx, "materials", material->channel_count + UINT64_C(1),
-                          &material->channels, &capacity);
-    if (status)
-        return status;
+    BSQ_PASS(BSQ_GROW(ctx, "materials", material->channel_count + UINT64_C(1), &material->channels,
+                      &capacity));
     *out = &material->channels[material->channel_count++];
     **out = usual_channel(channel);
     return 0;
@@ -80,25 +78,23 @@ static int copy_channel(struct bsq_ctx *ctx, const struct fmt_material_channel *
 {
     *out = *from;
     out->texture_path = out->texture_place = NULL;
-    const int status = bsq_text_copy(ctx, from->texture_path, &out->texture_path);
-    return status ? status : bsq_text_copy(ctx, from->texture_place, &out->texture_place);
+    BSQ_PASS(bsq_text_copy(ctx, from->texture_path, &out->texture_path));
+    return bsq_text_copy(ctx, from->texture_place, &out->texture_place);
 }
 
 int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from,
                       struct fmt_material *out)
 {
-    int status;
     /* NOLINTNEXTLINE(clang-analyzer-core.NullDereference): a material that was added */
     *out = *from;
     out->name = out->object = out->color.texture_path = out->color.texture_place = NULL;
     out->channels = NULL;
     out->channel_count = 0;
-    BSQ_TRY(bsq_text_copy(ctx, from->name, &out->name));
-    BSQ_TRY(copy_channel(ctx, &from->color, &out->color));
+    BSQ_PASS(bsq_text_copy(ctx, from->name, &out->name));
+    BSQ_PASS(copy_channel(ctx, &from->color, &out->color));
     if (from->channel_count > 0)
-        BSQ_TRY(BSQ_CALLOC(ctx, "materials", from->channel_count, &out->channels));
+        BSQ_PASS(BSQ_CALLOC(ctx, "materials", from->channel_count, &out->channels));
     for (uint32_t i = 0; i < from->channel_count; i++)
-        BSQ_TRY(copy_channel(ctx, &from->channels[i], &out->channels[out->channel_count++]));
-done:
-    return status;
+        BSQ_PASS(copy_channel(ctx, &from->channels[i], &out->channels[out->channel_count++]));
+    return 0;
 }

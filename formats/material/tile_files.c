@@ -108,13 +108,9 @@ static int tile_files_add(struct bsq_ctx *ctx, const char *path, uint32_t number
     struct stat info;
     if (stat(path, &info) != 0 || !S_ISREG(info.st_mode))
         return 0;
-    int status = BSQ_GROW(ctx, "tiles of a texture", out->count + 1, &out->list, &out->capacity);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_GROW(ctx, "tiles of a texture", out->count + 1, &out->list, &out->capacity));
     struct fmt_tile_file *file = &out->list[out->count];
-    status = bsq_alloc(ctx, "tiles of a texture", strlen(path) + 1, 1, &file->path);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bsq_alloc(ctx, "tiles of a texture", strlen(path) + 1, 1, &file->path));
     strcpy(file->path, path);
     file->number = number;
     out->count++;

@@ -47,9 +47,7 @@ static int find_exactly(struct bsq_ctx *ctx, const char *beside, const char *nam
     struct stat info;
     if (!mapped)
         return BSQ_ENOMEM;
-    int status = fmt_path_beside(ctx, beside, mapped, out);
-    if (status)
-        return status;
+    BSQ_PASS(fmt_path_beside(ctx, beside, mapped, out));
     *exists = stat(*out, &info) == 0 && S_ISREG(info.st_mode);
     return 0;
 }
@@ -317,18 +315,15 @@ static int check_elements(const struct gltf_item *item, const struct gltf_source
 int fmt_gltf_read_accessor(const struct gltf_item *item, struct gltf_source *source, void *element)
 {
     struct gltf_accessor *out = element;
-    int status;
     out->count = GLTF_REQUIRED;
-    BSQ_TRY(fmt_gltf_index(item, item->object, "bufferView", "bufferViews", &out->view));
-    BSQ_TRY(fmt_gltf_number(item, item->object, "byteOffset", INT64_MAX / 4, &out->offset));
-    BSQ_TRY(fmt_gltf_number(item, item->object, "count", INT64_MAX / 4, &out->count));
-    BSQ_TRY(read_component(item, item->object, &out->component));
-    BSQ_TRY(read_type(item, &out->components));
+    BSQ_PASS(fmt_gltf_index(item, item->object, "bufferView", "bufferViews", &out->view));
+    BSQ_PASS(fmt_gltf_number(item, item->object, "byteOffset", INT64_MAX / 4, &out->offset));
+    BSQ_PASS(fmt_gltf_number(item, item->object, "count", INT64_MAX / 4, &out->count));
+    BSQ_PASS(read_component(item, item->object, &out->component));
+    BSQ_PASS(read_type(item, &out->components));
     out->normalized = json_is_true(json_object_get(item->object, "normalized"));
     out->sparse = json_object_get(item->object, "sparse") != NULL;
-    status = check_elements(item, source, out);
-done:
-    return status;
+    return check_elements(item, source, out);
 }
 
 /* ---- decoding ---- */
@@ -398,13 +393,11 @@ static int read_elements(struct stream_slot *slot, const struct gltf_accessor *a
     if (count == 0)
         return 0;
     const uint64_t size = (count - 1) * stride + element;
-    int status;
-    BSQ_TRY(fmt_stream_reserve(slot, size));
-    BSQ_TRY(fmt_gltf_read_bytes(slot->ctx, source, view->buffer,
-                                view->offset + a->offset + first * stride, slot->bytes, size));
+    BSQ_PASS(fmt_stream_reserve(slot, size));
+    BSQ_PASS(fmt_gltf_read_bytes(slot->ctx, source, view->buffer,
+                                 view->offset + a->offset + first * stride, slot->bytes, size));
     convert(slot->bytes, stride, a->component, a->components, count, to);
-done:
-    return status;
+    return 0;
 }
 
 int fmt_gltf_decode(struct stream_slot *slot, uint32_t number, uint64_t first, uint64_t count,

@@ -84,22 +84,20 @@ static void take(struct shortener *s, char c, uint64_t at)
 static int read_text(struct gltf_document *d, struct shortener *s)
 {
     char block[BLOCK];
-    int status = 0;
     for (uint64_t at = 0; at < d->json_bytes; at += BLOCK) {
         const uint64_t left = d->json_bytes - at, count = left < BLOCK ? left : BLOCK;
-        BSQ_TRY(bsq_check(d->ctx));
-        BSQ_TRY(bsq_file_read(d->ctx, &d->file, block, count, d->json_offset + at));
+        BSQ_PASS(bsq_check(d->ctx));
+        BSQ_PASS(bsq_file_read(d->ctx, &d->file, block, count, d->json_offset + at));
         /* A shortened data URI of 47 bytes may stand for one of 15. */
         if (s->size + 4 * count + 64 > s->capacity)
-            BSQ_TRY(
+            BSQ_PASS(
                 bsq_grow(d->ctx, "JSON text", s->size + 4 * count + 64, 1, &s->text, &s->capacity));
         for (uint64_t i = 0; i < count; i++)
             take(s, block[i], d->json_offset + at + i);
     }
     while (s->size > 0 && s->text[s->size - 1] == '\0') /* padding of some GLB files */
         s->size--;
-done:
-    return status;
+    return 0;
 }
 
 bool fmt_gltf_find_data(const char *uri, uint64_t *offset, uint64_t *size)
@@ -169,9 +167,7 @@ static int read_chunk(struct gltf_document *d, uint64_t offset, uint64_t end, ui
                       uint64_t *size)
 {
     uint8_t head[GLB_CHUNK_HEADER];
-    int status = bsq_file_read(d->ctx, &d->file, head, sizeof head, offset);
-    if (status)
-        return status;
+    BSQ_PASS(bsq_file_read(d->ctx, &d->file, head, sizeof head, offset));
     *size = bsq_little(head, 4);
     *type = (uint32_t)bsq_little(head + 4, 4);
     if (*size > end - offset - GLB_CHUNK_HEADER)

@@ -298,15 +298,15 @@ static int read_channels(const struct gltf_item *item, struct gltf_source *sourc
     uint32_t count = 0;
     for (unsigned i = 0; (row = fmt_channel_at(i)); i++)
         count += row->gltf.object != NULL;
-    int status = BSQ_CALLOC(item->document->ctx, "glTF materials", count, &list->channels);
-    for (unsigned i = 0; (row = fmt_channel_at(i)) && !status; i++) {
+    BSQ_PASS(BSQ_CALLOC(item->document->ctx, "glTF materials", count, &list->channels));
+    for (unsigned i = 0; (row = fmt_channel_at(i)); i++) {
         if (!row->gltf.object)
             continue;
         struct fmt_material_channel *channel = &list->channels[list->channel_count++];
         channel->channel = row;
-        status = read_channel(item, source, material, channel);
+        BSQ_PASS(read_channel(item, source, material, channel));
     }
-    return status;
+    return 0;
 }
 
 /* ---- materials ---- */
@@ -369,14 +369,11 @@ int fmt_gltf_read_material(const struct gltf_item *item, struct gltf_source *sou
     const json_t *base = json_object_get(from, pbr ? "baseColorTexture" : "diffuseTexture");
     struct fmt_material *m = &out->described;
     double alpha;
-    int status;
     m->color.channel = &fmt_color_channel;
-    BSQ_TRY(read_name(item, &m->name));
-    BSQ_TRY(read_color(item, from, pbr ? "baseColorFactor" : "diffuseFactor", out, &alpha));
-    BSQ_TRY(read_texture(item, source, base, &m->color));
-    BSQ_TRY(read_texcoord(item, find_texture_info(item, base), &out->texcoord, out->uv_matrix));
-    BSQ_TRY(read_channels(item, source, out));
-    status = read_opacity(item, alpha, m);
-done:
-    return status;
+    BSQ_PASS(read_name(item, &m->name));
+    BSQ_PASS(read_color(item, from, pbr ? "baseColorFactor" : "diffuseFactor", out, &alpha));
+    BSQ_PASS(read_texture(item, source, base, &m->color));
+    BSQ_PASS(read_texcoord(item, find_texture_info(item, base), &out->texcoord, out->uv_matrix));
+    BSQ_PASS(read_channels(item, source, out));
+    return read_opacity(item, alpha, m);
 }

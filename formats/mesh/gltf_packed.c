@@ -84,13 +84,12 @@ int fmt_gltf_read_packed_view(const struct gltf_item *item, struct gltf_source *
     struct gltf_packed packed = {
         .number = (uint32_t)item->index, .count = GLTF_REQUIRED, .size = GLTF_REQUIRED};
     uint64_t stride = GLTF_REQUIRED;
-    int status;
-    BSQ_TRY(fmt_gltf_index(item, object, "buffer", "buffers", &packed.buffer));
-    BSQ_TRY(fmt_gltf_number(item, object, "byteOffset", INT64_MAX / 4, &packed.offset));
-    BSQ_TRY(fmt_gltf_number(item, object, "byteLength", INT64_MAX / 4, &packed.size));
-    BSQ_TRY(fmt_gltf_number(item, object, "byteStride", 256, &stride));
-    BSQ_TRY(fmt_gltf_number(item, object, "count", INT64_MAX / 4096, &packed.count));
-    BSQ_TRY(read_modes(item, object, &packed));
+    BSQ_PASS(fmt_gltf_index(item, object, "buffer", "buffers", &packed.buffer));
+    BSQ_PASS(fmt_gltf_number(item, object, "byteOffset", INT64_MAX / 4, &packed.offset));
+    BSQ_PASS(fmt_gltf_number(item, object, "byteLength", INT64_MAX / 4, &packed.size));
+    BSQ_PASS(fmt_gltf_number(item, object, "byteStride", 256, &stride));
+    BSQ_PASS(fmt_gltf_number(item, object, "count", INT64_MAX / 4096, &packed.count));
+    BSQ_PASS(read_modes(item, object, &packed));
     packed.stride = (uint32_t)stride;
     packed.bytes = packed.count * stride;
     if (!meshopt_fits(&packed))
@@ -105,10 +104,8 @@ int fmt_gltf_read_packed_view(const struct gltf_item *item, struct gltf_source *
     if (packed.offset > bytes || packed.size > bytes - packed.offset)
         return fmt_gltf_fail(item, "its compressed bytes are outside of their buffer");
     view->buffer = GLTF_NONE;
-    BSQ_TRY(add_decoded(item, source, packed.bytes, &view->offset));
-    status = add_packed(item, source, &packed);
-done:
-    return status;
+    BSQ_PASS(add_decoded(item, source, packed.bytes, &view->offset));
+    return add_packed(item, source, &packed);
 }
 
 /* ---- Draco ---- */
@@ -159,9 +156,7 @@ static int add_output(const struct gltf_item *item, struct gltf_source *source, 
     uint64_t id = GLTF_REQUIRED;
     if (accessor == GLTF_NONE || a->view != GLTF_NONE || (key && !json_object_get(attributes, key)))
         return 0;
-    int status = key ? fmt_gltf_number(item, attributes, key, UINT32_MAX, &id) : 0;
-    if (status)
-        return status;
+    BSQ_PASS(key ? fmt_gltf_number(item, attributes, key, UINT32_MAX, &id) : 0);
     if (!key)
         a->component = GLTF_UINT32;
     const uint32_t each = fmt_gltf_component_bytes(a->component);
@@ -185,10 +180,9 @@ int fmt_gltf_read_draco(const struct gltf_item *item, struct gltf_source *source
     const struct gltf_accessor *indices = gltf_accessor_of(source, p, GLTF_INDEX);
     struct gltf_packed packed = {.is_draco = true, .number = p->mesh};
     uint32_t view;
-    int status;
     if (!draco || !positions || !indices)
         return 0;
-    BSQ_TRY(fmt_gltf_index(item, draco, "bufferView", "bufferViews", &view));
+    BSQ_PASS(fmt_gltf_index(item, draco, "bufferView", "bufferViews", &view));
     if (view == GLTF_NONE || source->views[view].buffer == GLTF_NONE)
         return fmt_gltf_fail(item, "a compressed mesh without bufferView");
     packed.points = positions->count;
@@ -196,14 +190,12 @@ int fmt_gltf_read_draco(const struct gltf_item *item, struct gltf_source *source
     packed.buffer = source->views[view].buffer;
     packed.offset = source->views[view].offset;
     packed.size = source->views[view].size;
-    BSQ_TRY(check_counts(item, &packed));
+    BSQ_PASS(check_counts(item, &packed));
     for (int use = 0; use < GLTF_USE_COUNT; use++)
-        BSQ_TRY(add_output(item, source, p->accessors[use], attributes, keys[use], &packed));
+        BSQ_PASS(add_output(item, source, p->accessors[use], attributes, keys[use], &packed));
     if (source->views[indices->view].buffer == GLTF_NONE)
         p->mode = 4; /* strips too are compressed as single triangles */
-    status = packed.output_count > 0 ? add_packed(item, source, &packed) : 0;
-done:
-    return status;
+    return packed.output_count > 0 ? add_packed(item, source, &packed) : 0;
 }
 
 /* ---- decoding ---- */

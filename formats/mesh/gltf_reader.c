@@ -31,18 +31,16 @@ static int read_list(struct gltf_document *document, struct gltf_source *file, c
 {
     const uint64_t all = fmt_gltf_count(document, array);
     uint8_t *elements;
-    int status;
-    BSQ_TRY((bsq_calloc)(document->ctx, array, all + 1, bytes, list));
+    BSQ_PASS((bsq_calloc)(document->ctx, array, all + 1, bytes, list));
     memcpy(&elements, list, sizeof elements);
     for (uint64_t i = 0; i < all; i++) {
         const struct gltf_item item = fmt_gltf_element(document, array, i);
         if (i % 1024 == 0)
-            BSQ_TRY(bsq_check(document->ctx));
+            BSQ_PASS(bsq_check(document->ctx));
         ++*count;
-        BSQ_TRY(read(&item, file, elements + i * bytes));
+        BSQ_PASS(read(&item, file, elements + i * bytes));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Allocates the primitives of all meshes. */
@@ -61,18 +59,15 @@ static int allocate_primitives(struct gltf_document *document, struct gltf_sourc
 
 static int read_document(struct gltf_document *document, struct gltf_source *file)
 {
-    int status;
     file->bytes = document->file.size;
-    BSQ_TRY(READ_LIST("buffers", buffers, buffer_count, fmt_gltf_read_buffer));
+    BSQ_PASS(READ_LIST("buffers", buffers, buffer_count, fmt_gltf_read_buffer));
     file->view_capacity = fmt_gltf_count(document, "bufferViews") + 1;
-    BSQ_TRY(READ_LIST("bufferViews", views, view_count, fmt_gltf_read_view));
-    BSQ_TRY(READ_LIST("accessors", accessors, accessor_count, fmt_gltf_read_accessor));
-    BSQ_TRY(READ_LIST("materials", materials, material_count, fmt_gltf_read_material));
-    BSQ_TRY(allocate_primitives(document, file));
-    BSQ_TRY(READ_LIST("meshes", meshes, mesh_count, fmt_gltf_read_mesh));
-    status = fmt_gltf_read_scene(document, file);
-done:
-    return status;
+    BSQ_PASS(READ_LIST("bufferViews", views, view_count, fmt_gltf_read_view));
+    BSQ_PASS(READ_LIST("accessors", accessors, accessor_count, fmt_gltf_read_accessor));
+    BSQ_PASS(READ_LIST("materials", materials, material_count, fmt_gltf_read_material));
+    BSQ_PASS(allocate_primitives(document, file));
+    BSQ_PASS(READ_LIST("meshes", meshes, mesh_count, fmt_gltf_read_mesh));
+    return fmt_gltf_read_scene(document, file);
 }
 
 static int begin(struct stream_source *source)
@@ -80,10 +75,8 @@ static int begin(struct stream_source *source)
     struct gltf_source *file = source->data;
     struct gltf_document document;
     file->own = file->decoded.file = (struct bsq_file)BSQ_FILE_CLOSED;
-    int status = fmt_input_open(source->input);
-    if (status)
-        return status;
-    status = fmt_gltf_open_document(source->ctx, source->input, &document);
+    BSQ_PASS(fmt_input_open(source->input));
+    int status = fmt_gltf_open_document(source->ctx, source->input, &document);
     file->size = document.file.size;
     if (!status)
         status = read_document(&document, file);
@@ -280,29 +273,25 @@ static int reserve_vertices(const struct parser *p)
     a->count[FMT_MESH_NORMAL] = accessors[GLTF_NORMAL] != GLTF_NONE ? p->count : 0;
     a->count[FMT_MESH_TEXCOORD] = accessors[GLTF_TEXCOORD] != GLTF_NONE ? p->count : 0;
     a->has_colors = p->slot->source->reader->gltf_colors;
-    int status;
-    BSQ_TRY(FMT_RESERVE(ctx, p->count, a->positions, a->position_capacity));
-    BSQ_TRY(FMT_RESERVE(ctx, a->count[FMT_MESH_NORMAL], a->normals, a->normal_capacity));
-    BSQ_TRY(FMT_RESERVE(ctx, a->count[FMT_MESH_TEXCOORD], a->texcoords, a->texcoord_capacity));
+    BSQ_PASS(FMT_RESERVE(ctx, p->count, a->positions, a->position_capacity));
+    BSQ_PASS(FMT_RESERVE(ctx, a->count[FMT_MESH_NORMAL], a->normals, a->normal_capacity));
+    BSQ_PASS(FMT_RESERVE(ctx, a->count[FMT_MESH_TEXCOORD], a->texcoords, a->texcoord_capacity));
     if (a->has_colors)
-        BSQ_TRY(FMT_RESERVE(ctx, p->count, a->colors, a->color_capacity));
-done:
-    return status;
+        BSQ_PASS(FMT_RESERVE(ctx, p->count, a->colors, a->color_capacity));
+    return 0;
 }
 
 static int parse_vertices(struct parser *p)
 {
-    int status;
-    BSQ_TRY(reserve_vertices(p));
-    BSQ_TRY(parse_positions(p));
+    BSQ_PASS(reserve_vertices(p));
+    BSQ_PASS(parse_positions(p));
     if (p->arrays->count[FMT_MESH_NORMAL] > 0)
-        BSQ_TRY(parse_normals(p));
+        BSQ_PASS(parse_normals(p));
     if (p->arrays->count[FMT_MESH_TEXCOORD] > 0)
-        BSQ_TRY(parse_texcoords(p));
+        BSQ_PASS(parse_texcoords(p));
     if (p->arrays->has_colors)
-        BSQ_TRY(parse_colors(p));
-done:
-    return status;
+        BSQ_PASS(parse_colors(p));
+    return 0;
 }
 
 /* ---- faces ---- */
@@ -405,35 +394,30 @@ static int reserve_faces(const struct parser *p)
         [FMT_MESH_TEXCOORD] = p->primitive->accessors[GLTF_TEXCOORD] != GLTF_NONE,
         [FMT_MESH_NORMAL] = p->primitive->accessors[GLTF_NORMAL] != GLTF_NONE};
     struct mesh_arrays *a = p->arrays;
-    int status;
-    BSQ_TRY(FMT_RESERVE(p->slot->ctx, p->count, a->face_sizes, a->size_capacity));
+    BSQ_PASS(FMT_RESERVE(p->slot->ctx, p->count, a->face_sizes, a->size_capacity));
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
         if (!wanted[kind])
             continue;
-        BSQ_TRY(
+        BSQ_PASS(
             FMT_RESERVE(p->slot->ctx, 3 * p->count, a->corners[kind], a->corner_capacity[kind]));
         a->has_corners[kind] = true;
     }
-    status = FMT_RESERVE(p->slot->ctx, 1, a->changes, a->change_capacity);
-done:
-    return status;
+    return FMT_RESERVE(p->slot->ctx, 1, a->changes, a->change_capacity);
 }
 
 static int parse_faces(struct parser *p)
 {
     struct window window;
-    int status;
-    BSQ_TRY(reserve_faces(p));
-    BSQ_TRY(load_window(p, &window));
-    BSQ_TRY(add_triangles(p, &window));
+    BSQ_PASS(reserve_faces(p));
+    BSQ_PASS(load_window(p, &window));
+    BSQ_PASS(add_triangles(p, &window));
     p->arrays->change_count = p->arrays->face_count > 0;
     p->arrays->changes[0] = (struct fmt_mesh_material_change){
         .face = 0,
         .material = p->slot->source->reader->objects      ? object_of(p)
                     : p->primitive->material == GLTF_NONE ? FMT_MESH_NO_MATERIAL
                                                           : p->primitive->material};
-done:
-    return status;
+    return 0;
 }
 
 /* ---- parts ---- */
@@ -461,13 +445,10 @@ static int parse(struct stream_slot *slot)
 static int enter(struct stream_source *source)
 {
     struct gltf_source *file = source->data;
-    int status;
     if (file->own.fd < 0)
-        BSQ_TRY(fmt_input_whole(source->input, &file->own));
-    BSQ_TRY(fmt_gltf_open_buffers(source->ctx, file));
-    status = fmt_gltf_unpack(source->ctx, file);
-done:
-    return status;
+        BSQ_PASS(fmt_input_whole(source->input, &file->own));
+    BSQ_PASS(fmt_gltf_open_buffers(source->ctx, file));
+    return fmt_gltf_unpack(source->ctx, file);
 }
 
 static int leave(struct stream_source *source)
@@ -537,14 +518,12 @@ static int list_materials(struct stream_source *source, struct fmt_materials *ou
 {
     const struct gltf_source *file = source->data;
     struct fmt_material *material;
-    int status = 0;
     for (uint32_t i = 0; i < file->material_count; i++) {
-        BSQ_TRY(fmt_materials_add(source->ctx, out, &material));
-        BSQ_TRY(fmt_material_copy(source->ctx, &file->materials[i].described, material));
+        BSQ_PASS(fmt_materials_add(source->ctx, out, &material));
+        BSQ_PASS(fmt_material_copy(source->ctx, &file->materials[i].described, material));
         material->tinted = material->color.texture_path && source->reader->gltf_colors;
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Objects are the primitives of each placement, in the order of their numbers. */

@@ -98,17 +98,15 @@ static int read_accessors(const struct gltf_item *item, struct gltf_source *sour
     const json_t *attributes = json_object_get(object, "attributes");
     char texcoord[32];
     const char *const keys[GLTF_USE_COUNT] = {"POSITION", "NORMAL", texcoord, "COLOR_0", NULL};
-    int status;
     snprintf(texcoord, sizeof texcoord, "TEXCOORD_%" PRIu32, set);
     for (int use = 0; use < GLTF_INDEX; use++)
-        BSQ_TRY(read_attribute(item, source, attributes, keys[use], (enum gltf_use)use, out));
-    BSQ_TRY(read_indices(item, source, object, out));
-    BSQ_TRY(fmt_gltf_read_draco(item, source, object, keys, out));
+        BSQ_PASS(read_attribute(item, source, attributes, keys[use], (enum gltf_use)use, out));
+    BSQ_PASS(read_indices(item, source, object, out));
+    BSQ_PASS(fmt_gltf_read_draco(item, source, object, keys, out));
     for (int use = 0; use < GLTF_USE_COUNT; use++)
         if (out->accessors[use] != GLTF_NONE)
-            BSQ_TRY(check_used(item, source, out->accessors[use]));
-done:
-    return status;
+            BSQ_PASS(check_used(item, source, out->accessors[use]));
+    return 0;
 }
 
 /* Returns whether a primitive has colours of vertices beside COLOR_0. */
@@ -190,21 +188,19 @@ int fmt_gltf_read_mesh(const struct gltf_item *item, struct gltf_source *source,
 {
     struct gltf_mesh *mesh = element;
     const json_t *list = json_object_get(item->object, "primitives");
-    int status = 0;
     mesh->first = source->primitive_count;
     for (size_t i = 0; i < json_array_size(list); i++) {
         struct gltf_primitive *p = &source->primitives[source->primitive_count];
         *p = (struct gltf_primitive){.mesh = (uint32_t)item->index, .number = (uint32_t)i};
         memset(p->accessors, 0xff, sizeof p->accessors);
-        BSQ_TRY(i % 1024 ? 0 : bsq_check(item->document->ctx));
-        BSQ_TRY(read_primitive(item, source, json_array_get(list, i), p));
+        BSQ_PASS(i % 1024 ? 0 : bsq_check(item->document->ctx));
+        BSQ_PASS(read_primitive(item, source, json_array_get(list, i), p));
         if (p->triangles > 0) {
-            BSQ_TRY(add_primitive(item, source, mesh, p));
+            BSQ_PASS(add_primitive(item, source, mesh, p));
             source->primitive_count++;
         }
     }
-done:
-    return status;
+    return 0;
 }
 
 /* ---- nodes ---- */
@@ -262,16 +258,14 @@ static void compose(const double t[3], const double rotation[4], const double s[
 static int read_transform(const struct gltf_item *item, double out[3][4])
 {
     double matrix[16], t[3] = {0, 0, 0}, q[4] = {0, 0, 0, 1}, s[3] = {1, 1, 1};
-    int status;
-    BSQ_TRY(fmt_gltf_numbers(item, item->object, "matrix", 16, matrix));
-    BSQ_TRY(fmt_gltf_numbers(item, item->object, "translation", 3, t));
-    BSQ_TRY(fmt_gltf_numbers(item, item->object, "rotation", 4, q));
-    BSQ_TRY(fmt_gltf_numbers(item, item->object, "scale", 3, s));
+    BSQ_PASS(fmt_gltf_numbers(item, item->object, "matrix", 16, matrix));
+    BSQ_PASS(fmt_gltf_numbers(item, item->object, "translation", 3, t));
+    BSQ_PASS(fmt_gltf_numbers(item, item->object, "rotation", 4, q));
+    BSQ_PASS(fmt_gltf_numbers(item, item->object, "scale", 3, s));
     compose(t, q, s, out);
     for (int i = 0; i < 12 && json_object_get(item->object, "matrix"); i++)
         out[i / 4][i % 4] = matrix[4 * (i % 4) + i / 4]; /* columns one after the other */
-done:
-    return status;
+    return 0;
 }
 
 bool fmt_invert_for_normals(const double m[3][4], double out[3][3])
@@ -352,14 +346,11 @@ static int add_placement(struct walk *w, const struct gltf_item *item, uint32_t 
     memcpy(out->base, source->total, sizeof out->base);
     out->object_base = source->object_count;
     source->placement_count++;
-    int status;
-    BSQ_TRY(add(item, &source->triangles, m->triangles));
+    BSQ_PASS(add(item, &source->triangles, m->triangles));
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
-        BSQ_TRY(add(item, &source->total[kind], m->total[kind]));
-    BSQ_TRY(add(item, &source->object_count, m->count));
-    status = copy_name(item, mesh, &out->name);
-done:
-    return status;
+        BSQ_PASS(add(item, &source->total[kind], m->total[kind]));
+    BSQ_PASS(add(item, &source->object_count, m->count));
+    return copy_name(item, mesh, &out->name);
 }
 
 static int place_mesh(struct walk *w, const struct gltf_item *item, const double matrix[3][4])
@@ -400,28 +391,25 @@ static int push_nodes(struct walk *w, const struct gltf_item *item, const json_t
 
 static int visit_nodes(struct walk *w)
 {
-    int status = 0;
     for (uint64_t i = 0; w->stack_count > 0; i++) {
         const struct visit visit = w->stack[--w->stack_count];
         const struct gltf_item item = fmt_gltf_element(w->document, "nodes", visit.node);
         double own[3][4], matrix[3][4];
-        BSQ_TRY(i % 1024 ? 0 : bsq_check(w->document->ctx));
-        BSQ_TRY(read_transform(&item, own));
+        BSQ_PASS(i % 1024 ? 0 : bsq_check(w->document->ctx));
+        BSQ_PASS(read_transform(&item, own));
         w->source->unread.hidden += json_is_false(
             json_object_get(fmt_gltf_extension(item.object, "KHR_node_visibility"), "visible"));
         multiply(visit.matrix, (const double(*)[4])own, matrix);
-        BSQ_TRY(place_mesh(w, &item, (const double(*)[4])matrix));
-        BSQ_TRY(push_nodes(w, &item, json_object_get(item.object, "children"),
-                           (const double(*)[4])matrix));
+        BSQ_PASS(place_mesh(w, &item, (const double(*)[4])matrix));
+        BSQ_PASS(push_nodes(w, &item, json_object_get(item.object, "children"),
+                            (const double(*)[4])matrix));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Without scenes, every node that is no child of another one is a root. */
 static int visit_all_roots(struct walk *w, uint8_t *is_child)
 {
-    int status = 0;
     for (uint64_t i = 0; i < w->node_count; i++) {
         const json_t *list =
             json_object_get(fmt_gltf_element(w->document, "nodes", i).object, "children");
@@ -431,29 +419,27 @@ static int visit_all_roots(struct walk *w, uint8_t *is_child)
                 is_child[child] = 1;
         }
     }
-    for (uint64_t i = 0; i < w->node_count && !status; i++) {
+    for (uint64_t i = 0; i < w->node_count; i++) {
         if (is_child[i])
             continue;
         w->seen[i] = 1;
         w->stack[0].node = (uint32_t)i;
         memcpy(w->stack[0].matrix, identity, sizeof identity);
         w->stack_count = 1;
-        status = visit_nodes(w);
+        BSQ_PASS(visit_nodes(w));
     }
-    return status;
+    return 0;
 }
 
 static int visit_scene(struct walk *w)
 {
     const struct gltf_item root = {w->document, "scene", 0, w->document->root};
     uint32_t scene;
-    int status = fmt_gltf_index(&root, w->document->root, "scene", "scenes", &scene);
-    if (status)
-        return status;
+    BSQ_PASS(fmt_gltf_index(&root, w->document->root, "scene", "scenes", &scene));
     const struct gltf_item item =
         fmt_gltf_element(w->document, "scenes", scene == GLTF_NONE ? 0 : scene);
-    status = push_nodes(w, &item, json_object_get(item.object, "nodes"), identity);
-    return status ? status : visit_nodes(w);
+    BSQ_PASS(push_nodes(w, &item, json_object_get(item.object, "nodes"), identity));
+    return visit_nodes(w);
 }
 
 /* Counts meshes of nodes that were not visited, and meshes that no node names. */
@@ -475,12 +461,11 @@ static void count_outside(struct walk *w)
 /* A file without nodes is a library of meshes: each is placed once. */
 static int place_all(struct walk *w)
 {
-    int status = 0;
-    for (uint32_t i = 0; i < w->source->mesh_count && !status; i++) {
+    for (uint32_t i = 0; i < w->source->mesh_count; i++) {
         const struct gltf_item item = fmt_gltf_element(w->document, "meshes", i);
-        status = add_placement(w, &item, i, identity);
+        BSQ_PASS(add_placement(w, &item, i, identity));
     }
-    return status;
+    return 0;
 }
 
 int fmt_gltf_read_scene(struct gltf_document *document, struct gltf_source *source)

@@ -53,10 +53,8 @@ static int append(struct loader *loader, const char *what, void *array, uint64_t
 /* Appends the indices of one kind; `from` is NULL if no corner has one. */
 static int append_corners(struct loader *loader, int kind, const uint64_t *from, uint64_t count)
 {
-    int status = bsq_grow(loader->ctx, "face corners", loader->corner_count + count,
-                          sizeof(uint32_t), &loader->corners[kind], &loader->corner_capacity[kind]);
-    if (status)
-        return status;
+    BSQ_PASS(bsq_grow(loader->ctx, "face corners", loader->corner_count + count, sizeof(uint32_t),
+                      &loader->corners[kind], &loader->corner_capacity[kind]));
     uint32_t *to = loader->corners[kind] + loader->corner_count;
     loader->has_corners[kind] |= from != NULL;
     if (!from)
@@ -97,26 +95,24 @@ static int collect(void *arg, const struct fmt_mesh_batch *batch)
                         "more than %u vertices in a mesh that is to be "
                         "held whole",
                         UINT32_MAX - 1);
-    int status;
-    BSQ_TRY(append(loader, "vertices", &mesh->positions, &loader->position_capacity,
-                   batch->vertex_base, batch->positions, batch->vertex_count,
-                   sizeof *mesh->positions));
-    BSQ_TRY(append(loader, "texture coordinates", &mesh->texcoords, &loader->texcoord_capacity,
-                   batch->texcoord_base, batch->texcoords, batch->texcoord_count,
-                   sizeof *mesh->texcoords));
-    BSQ_TRY(append(loader, "normals", &mesh->normals, &loader->normal_capacity, batch->normal_base,
-                   batch->normals, batch->normal_count, sizeof *mesh->normals));
-    BSQ_TRY(append(loader, "faces", &loader->face_sizes, &loader->face_capacity, batch->face_base,
-                   batch->face_sizes, batch->face_count, sizeof *loader->face_sizes));
+    BSQ_PASS(append(loader, "vertices", &mesh->positions, &loader->position_capacity,
+                    batch->vertex_base, batch->positions, batch->vertex_count,
+                    sizeof *mesh->positions));
+    BSQ_PASS(append(loader, "texture coordinates", &mesh->texcoords, &loader->texcoord_capacity,
+                    batch->texcoord_base, batch->texcoords, batch->texcoord_count,
+                    sizeof *mesh->texcoords));
+    BSQ_PASS(append(loader, "normals", &mesh->normals, &loader->normal_capacity, batch->normal_base,
+                    batch->normals, batch->normal_count, sizeof *mesh->normals));
+    BSQ_PASS(append(loader, "faces", &loader->face_sizes, &loader->face_capacity, batch->face_base,
+                    batch->face_sizes, batch->face_count, sizeof *loader->face_sizes));
     const uint64_t *corners[3] = {batch->corner_vertices, batch->corner_texcoords,
                                   batch->corner_normals};
     for (int kind = 0; kind < 3 && batch->corner_count; kind++)
-        BSQ_TRY(append_corners(loader, kind, corners[kind], batch->corner_count));
+        BSQ_PASS(append_corners(loader, kind, corners[kind], batch->corner_count));
     loader->corner_count += batch->corner_count;
     if (loader->named && batch->face_count > 0)
-        BSQ_TRY(append_parts(loader, batch));
-done:
-    return status;
+        BSQ_PASS(append_parts(loader, batch));
+    return 0;
 }
 
 /* ---- checking ---- */
@@ -235,22 +231,20 @@ static int make_triangles(struct loader *loader)
     for (uint64_t face = 0; face < loader->mesh->face_count; face++)
         if (loader->face_sizes[face] > largest)
             largest = loader->face_sizes[face];
-    int status;
-    BSQ_TRY(allocate_triangles(loader, largest));
+    BSQ_PASS(allocate_triangles(loader, largest));
     for (uint64_t face = 0; face < loader->mesh->face_count; face++) {
         if (lacks_position(loader, face, corner)) {
             fmt_mesh_add_loss(&loader->lost_faces, 1, face);
         } else {
-            BSQ_TRY(split_face(loader, face, corner, triangle));
+            BSQ_PASS(split_face(loader, face, corner, triangle));
             triangle += loader->face_sizes[face] - 2;
         }
         corner += loader->face_sizes[face];
         if (face % 4096 == 0)
-            BSQ_TRY(bsq_check(loader->ctx));
+            BSQ_PASS(bsq_check(loader->ctx));
     }
     loader->mesh->triangle_count = triangle;
-done:
-    return status;
+    return 0;
 }
 
 static void normalise(struct fmt_mesh *mesh)

@@ -183,30 +183,29 @@ enum { MOST_HELD = 64 };
 static int open_sources(struct fmt_mesh_reader *reader, const struct fmt_mesh_inputs *from)
 {
     struct bsq_ctx *ctx = reader->ctx;
-    int status;
-    BSQ_TRY(BSQ_CALLOC(ctx, "inputs", from->path_count, &reader->sources));
+    BSQ_PASS(BSQ_CALLOC(ctx, "inputs", from->path_count, &reader->sources));
     /* All are checked before one is opened, which may wait for a writer. */
     for (uint32_t i = 0; i < from->path_count; i++)
-        BSQ_TRY(check_once(ctx, from, i));
+        BSQ_PASS(check_once(ctx, from, i));
     for (uint32_t i = 0; i < from->path_count; i++) {
         struct stream_source *source = &reader->sources[reader->source_count++];
         *source = (struct stream_source){.ctx = ctx, .reader = reader, .number = i};
         if (from->sources && from->sources[i])
-            BSQ_TRY(fmt_input_create_source(ctx, from->paths[i], from->sources[i], &source->input));
+            BSQ_PASS(
+                fmt_input_create_source(ctx, from->paths[i], from->sources[i], &source->input));
         else
-            BSQ_TRY(
+            BSQ_PASS(
                 fmt_input_create(ctx, from->paths[i], from->beside, from->pipes, &source->input));
         source->path = fmt_input_path(source->input);
         if (from->path_count <= MOST_HELD && fmt_input_is_plain(source->input))
-            BSQ_TRY(fmt_input_open(source->input));
+            BSQ_PASS(fmt_input_open(source->input));
         source->held = from->path_count <= MOST_HELD && fmt_input_is_plain(source->input);
     }
     for (uint32_t i = 0; i < from->path_count; i++)
-        BSQ_TRY(begin_source(&reader->sources[i]));
+        BSQ_PASS(begin_source(&reader->sources[i]));
     for (uint32_t i = 0; i < from->path_count && from->placements; i++)
-        BSQ_TRY(set_placement(&reader->sources[i], &from->placements[i]));
-done:
-    return status;
+        BSQ_PASS(set_placement(&reader->sources[i], &from->placements[i]));
+    return 0;
 }
 
 int fmt_mesh_open_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from,
@@ -214,11 +213,9 @@ int fmt_mesh_open_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from
 {
     struct fmt_mesh_reader *reader;
     *out = NULL;
-    int status = BSQ_CALLOC(ctx, "mesh reader", 1, &reader);
-    if (status)
-        return status;
+    BSQ_PASS(BSQ_CALLOC(ctx, "mesh reader", 1, &reader));
     reader->ctx = ctx;
-    status = open_sources(reader, from);
+    int status = open_sources(reader, from);
     if (status)
         fmt_mesh_close(reader);
     else
@@ -295,14 +292,13 @@ int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_esti
 {
     uint64_t temp_bytes = 0, all_bytes = 0;
     bool all_plain = true;
-    int status = 0;
     *out = (struct fmt_mesh_estimate){.faces_come_last = reader->source_count == 1};
     for (uint32_t i = 0; i < reader->source_count; i++) {
         struct stream_source *source = &reader->sources[i];
         uint64_t bytes = 0;
         bool plain;
-        BSQ_TRY(fmt_input_guess(source->input, &bytes, &plain));
-        BSQ_TRY(source->format->estimate(source, bytes, plain, out));
+        BSQ_PASS(fmt_input_guess(source->input, &bytes, &plain));
+        BSQ_PASS(source->format->estimate(source, bytes, plain, out));
         all_bytes += bytes;
         all_plain &= plain;
         /* Unpacked files are dropped one after the other. */
@@ -312,8 +308,7 @@ int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_esti
     if (!all_plain)
         limit_estimate(out, all_bytes);
     out->temp_bytes = temp_bytes;
-done:
-    return status;
+    return 0;
 }
 
 void fmt_mesh_use_objects(struct fmt_mesh_reader *reader)
@@ -385,14 +380,12 @@ __attribute__((format(printf, 4, 5))) static int fail_face(struct bsq_ctx *ctx,
 int fmt_mesh_location_text(struct fmt_mesh_reader *reader, uint64_t face, char **out)
 {
     struct fmt_mesh_location location;
-    int status;
     *out = NULL;
-    BSQ_TRY(fmt_stream_locate_face(reader, face, &location));
+    BSQ_PASS(fmt_stream_locate_face(reader, face, &location));
     const struct location_end end = end_of_location(&location, face);
-    BSQ_TRY(bsq_alloc(reader->ctx, "names", strlen(location.path) + sizeof end, 1, out));
+    BSQ_PASS(bsq_alloc(reader->ctx, "names", strlen(location.path) + sizeof end, 1, out));
     sprintf(*out, "%s%s", location.path, end.text);
-done:
-    return status;
+    return 0;
 }
 
 int fmt_mesh_report_loss(struct fmt_mesh_reader *reader, enum fmt_mesh_kind kind,
@@ -435,9 +428,7 @@ int fmt_mesh_fail_index(struct fmt_mesh_reader *reader, uint64_t face, enum fmt_
                         uint64_t index)
 {
     struct fmt_mesh_location location;
-    int status = fmt_stream_locate_face(reader, face, &location);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_stream_locate_face(reader, face, &location));
     if (index - location.base[kind] >= FMT_MESH_BEFORE)
         return fail_face(reader->ctx, &location, face, "refers to a %s before the first one",
                          fmt_mesh_kind_names[kind]);

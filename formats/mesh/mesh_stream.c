@@ -57,23 +57,21 @@ int fmt_stream_extend(struct stream_slot *slot, uint64_t have, uint64_t size, ui
     struct fmt_input *input = slot->source->input;
     const uint64_t offset = slot->part.offset;
     uint64_t file_size, end;
-    int status;
     *loaded = have;
     *at_end = false;
     if (__builtin_add_overflow(offset, size, &end) || end > fmt_input_size(input))
         end = fmt_input_size(input);
     end = end > offset ? end : offset;
     /* Memory first: bytes that do not fit need not be unpacked. */
-    BSQ_TRY(fmt_stream_reserve(slot, end - offset));
-    BSQ_TRY(fmt_input_reach(input, end, &file_size));
+    BSQ_PASS(fmt_stream_reserve(slot, end - offset));
+    BSQ_PASS(fmt_input_reach(input, end, &file_size));
     end = end < file_size ? end : file_size;
     size = end > offset ? end - offset : 0;
     if (size > have)
-        BSQ_TRY(fmt_input_read(input, slot->bytes + have, size - have, offset + have));
+        BSQ_PASS(fmt_input_read(input, slot->bytes + have, size - have, offset + have));
     *loaded = size > have ? size : have;
     *at_end = offset + *loaded >= file_size;
-done:
-    return status;
+    return 0;
 }
 
 int fmt_stream_load(struct stream_slot *slot)
@@ -92,13 +90,12 @@ int fmt_stream_cut_text(struct stream_slot *slot, uint64_t usual,
     struct stream_part *part = &slot->part;
     uint64_t have = 0, wanted = usual;
     bool at_end = false;
-    int status;
     for (;;) {
-        BSQ_TRY(fmt_stream_extend(slot, have, wanted, &have, &at_end));
+        BSQ_PASS(fmt_stream_extend(slot, have, wanted, &have, &at_end));
         part->size = have > 0 ? find(slot, have, at_end) : 0;
         if (part->size > 0 || at_end)
             break;
-        BSQ_TRY(bsq_check(slot->ctx));
+        BSQ_PASS(bsq_check(slot->ctx));
         if (fmt_mesh_count_space(slot->bytes, have) < have) {
             wanted *= 2;
         } else { /* any number of blanks needs no memory */
@@ -109,9 +106,7 @@ int fmt_stream_cut_text(struct stream_slot *slot, uint64_t usual,
     }
     part->end = part->offset + part->size;
     slot->loaded = true;
-    status = part->size > 0;
-done:
-    return status;
+    return part->size > 0;
 }
 
 int fmt_stream_fail(struct stream_slot *slot, uint64_t at, const char *format, ...)
@@ -248,10 +243,8 @@ int fmt_stream_add_material(struct stream_source *source, uint32_t *number)
 {
     if (source->reader->material_count >= FMT_MESH_NO_MATERIAL - 1)
         return bsq_fail(source->ctx, BSQ_EDATA, "%s: too many materials", source->path);
-    int status = FMT_RESERVE(source->ctx, source->number_count + 1, source->numbers,
-                             source->number_capacity);
-    if (status)
-        return status;
+    BSQ_PASS(FMT_RESERVE(source->ctx, source->number_count + 1, source->numbers,
+                         source->number_capacity));
     *number = (uint32_t)source->reader->material_count++;
     source->numbers[source->number_count++] = *number;
     return 0;
@@ -287,9 +280,8 @@ static int number_first_materials(struct stream_source *source)
 static int enter_source(struct job *job, struct stream_source *source)
 {
     const struct fmt_mesh_totals *totals = job->reader->totals;
-    int status = 0;
     for (uint32_t i = job->source; i < source->number; i++)
-        BSQ_TRY(leave_file(&job->reader->sources[i]));
+        BSQ_PASS(leave_file(&job->reader->sources[i]));
     job->source = source->number;
     job->passed = 0;
     source->base[FMT_MESH_VERTEX] = totals->vertices;
@@ -298,9 +290,7 @@ static int enter_source(struct job *job, struct stream_source *source)
     source->face_base = totals->faces;
     memset(source->count, 0, sizeof source->count);
     source->late_color_count = source->lines = 0;
-    status = number_first_materials(source);
-done:
-    return status;
+    return number_first_materials(source);
 }
 
 static int fail_part(const struct stream_slot *slot)
@@ -374,9 +364,7 @@ static int note_oddities(struct fmt_mesh_reader *reader, const struct stream_slo
             continue;
         while (k < reader->note_count && reader->notes[k].text != text)
             k++;
-        int status = FMT_RESERVE(reader->ctx, k + 1, reader->notes, reader->note_capacity);
-        if (status)
-            return status;
+        BSQ_PASS(FMT_RESERVE(reader->ctx, k + 1, reader->notes, reader->note_capacity));
         if (k == reader->note_count)
             reader->notes[reader->note_count++] =
                 (struct stream_note){.text = text,
@@ -461,23 +449,21 @@ static int emit(void *arg, void *slot_memory, uint64_t sequence)
     struct job *job = arg;
     struct stream_slot *slot = slot_memory;
     struct stream_source *source = slot->source;
-    int status;
-    BSQ_TRY(bsq_check(slot->ctx));
+    BSQ_PASS(bsq_check(slot->ctx));
     if (sequence == 0 || source->number != job->source)
-        BSQ_TRY(enter_source(job, source));
+        BSQ_PASS(enter_source(job, source));
     if (source->format->pass)
-        BSQ_TRY(source->format->pass(slot));
+        BSQ_PASS(source->format->pass(slot));
     if (slot->error[0])
         return fail_part(slot);
     add_bases(slot);
     if (source->moves)
         move_elements(&source->placement, &slot->arrays);
-    BSQ_TRY(note_oddities(job->reader, slot));
-    BSQ_TRY(add_face_part(job, slot));
-    BSQ_TRY(call_on_batch(job, slot, sequence));
+    BSQ_PASS(note_oddities(job->reader, slot));
+    BSQ_PASS(add_face_part(job, slot));
+    BSQ_PASS(call_on_batch(job, slot, sequence));
     count_part(job, slot);
-done:
-    return status;
+    return 0;
 }
 
 static int follow(void *arg, void *slot_memory, uint64_t sequence, unsigned worker)
@@ -521,9 +507,7 @@ static int run_job(struct job *job)
 {
     struct bsq_ctx *ctx = job->reader->ctx;
     const unsigned slot_count = count_slots(job->reader);
-    int status = BSQ_CALLOC(ctx, "batches of a mesh", slot_count, &job->slots);
-    if (status)
-        return status;
+    BSQ_PASS(BSQ_CALLOC(ctx, "batches of a mesh", slot_count, &job->slots));
     for (unsigned i = 0; i < slot_count; i++)
         job->slots[i].ctx = ctx;
     struct bsq_pipeline pipeline = {
@@ -537,7 +521,7 @@ static int run_job(struct job *job)
         .slot_size = sizeof *job->slots,
         .slot_count = slot_count,
     };
-    status = bsq_pipeline_run(ctx, &pipeline);
+    int status = bsq_pipeline_run(ctx, &pipeline);
     for (unsigned i = 0; i < slot_count; i++)
         fmt_stream_free_slot(&job->slots[i]);
     bsq_free(ctx, job->slots);

@@ -108,9 +108,7 @@ static size_t directory_length(const char *path)
 int fmt_path_beside(struct bsq_ctx *ctx, const char *beside, const char *path, char **out)
 {
     const size_t directory = path[0] == '/' ? 0 : directory_length(beside);
-    int status = bsq_alloc(ctx, "names", directory + strlen(path) + 1, 1, out);
-    if (status)
-        return status;
+    BSQ_PASS(bsq_alloc(ctx, "names", directory + strlen(path) + 1, 1, out));
     memcpy(*out, beside, directory);
     strcpy(*out + directory, path);
     return 0;
@@ -158,9 +156,8 @@ static bool find_entry(char *path, char *name)
 static int match_capitals(struct bsq_ctx *ctx, char *path, size_t from, bool *found)
 {
     struct stat info;
-    int status = 0;
     *found = true;
-    for (char *name = path + from, *next; *name && *found && !status; name = next) {
+    for (char *name = path + from, *next; *name && *found; name = next) {
         char *end = strchrnul(name, '/');
         next = end + (*end == '/');
         const char end_byte = *end, next_byte = *next;
@@ -172,9 +169,9 @@ static int match_capitals(struct bsq_ctx *ctx, char *path, size_t from, bool *fo
         *end = '\0';
         *found = find_entry(path, name);
         *end = end_byte;
-        status = bsq_check(ctx);
+        BSQ_PASS(bsq_check(ctx));
     }
-    return status;
+    return 0;
 }
 
 /* ---- trials ---- */
@@ -185,12 +182,10 @@ static int try_path(struct search *search, const char *name, enum form form)
     const size_t directory = name[0] == '/' ? 0 : directory_length(search->beside);
     char *path;
     bool found = false;
-    int status = fmt_path_beside(search->ctx, search->beside, name, &path);
-    if (status)
-        return status;
+    BSQ_PASS(fmt_path_beside(search->ctx, search->beside, name, &path));
     for (char *c = path + directory; *c && form == WITH_SLASHES; c++)
         *c = *c == '\\' ? '/' : *c;
-    status = match_capitals(search->ctx, path, directory, &found);
+    int status = match_capitals(search->ctx, path, directory, &found);
     if (!status && found)
         status = check_file(search->ctx, path, &found);
     if (!status && found)

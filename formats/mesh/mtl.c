@@ -362,13 +362,12 @@ static int read_text(struct reader *reader, char *text, uint64_t size)
 {
     char *p = text + fmt_mesh_mark(text, size), *end = text + size;
     uint64_t lines = 0; /* before `p` */
-    int status = 0;
     *end = '\n';
     for (uint64_t i = 0; p < end; i++) {
         char *line = p;
         reader->line = lines + 1;
         if (i % 1024 == 0)
-            BSQ_TRY(bsq_check(reader->ctx));
+            BSQ_PASS(bsq_check(reader->ctx));
         p += fmt_mesh_statement_size(
             line, *skip_blanks(line) == '#' ? MESH_NOT_CONTINUED : MESH_CONTINUED_NAMES, &lines);
         if (*p == '\0')
@@ -377,10 +376,9 @@ static int read_text(struct reader *reader, char *text, uint64_t size)
         join_lines(line, p);
         p += line_end;
         lines++;
-        BSQ_TRY(read_line(reader, line));
+        BSQ_PASS(read_line(reader, line));
     }
-done:
-    return status;
+    return 0;
 }
 
 static int warn_unknown(const struct reader *reader)

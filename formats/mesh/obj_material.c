@@ -17,9 +17,7 @@ int fmt_obj_statement_text(const struct stream_slot *slot, const struct stream_s
 {
     const char *from = (const char *)slot->bytes + statement->offset, *end = from + statement->size;
     char *to;
-    int status = bsq_alloc(slot->ctx, "names", statement->size + 1, 1, out);
-    if (status)
-        return status;
+    BSQ_PASS(bsq_alloc(slot->ctx, "names", statement->size + 1, 1, out));
     for (to = *out; from < end; from++) {
         if (*from == '\\' && from + 1 < end && (from[1] == '\n' || from[1] == '\r'))
             from += 1 + (from[1] == '\r' && from[2] == '\n'); /* a blank came before it */
@@ -40,14 +38,12 @@ static int add_library(struct stream_source *source, uint64_t line, const char *
     struct obj_file *file = source->data;
     const uint64_t known = file->libraries.count;
     uint64_t number;
-    int status;
-    BSQ_TRY(bsq_note_input(source->ctx, path, "the material library that %s names", source->path));
-    BSQ_TRY(FMT_RESERVE(source->ctx, known + 1, file->library_lines, file->line_capacity));
-    BSQ_TRY(bsq_texts_add(source->ctx, &source->reader->names, &file->libraries, path, &number));
+    BSQ_PASS(bsq_note_input(source->ctx, path, "the material library that %s names", source->path));
+    BSQ_PASS(FMT_RESERVE(source->ctx, known + 1, file->library_lines, file->line_capacity));
+    BSQ_PASS(bsq_texts_add(source->ctx, &source->reader->names, &file->libraries, path, &number));
     if (file->libraries.count > known)
         file->library_lines[known] = line;
-done:
-    return status;
+    return 0;
 }
 
 /* Enters one library; if `only_existing` is set, only if the file exists. Sets *exists if so. */
@@ -99,12 +95,10 @@ static int read_library(const struct stream_source *source, uint64_t library,
     const struct obj_file *file = source->data;
     const size_t size = strlen(source->path) + 24;
     char *place;
-    int status = bsq_alloc(source->ctx, "names", size, 1, &place);
-    if (status)
-        return status;
+    BSQ_PASS(bsq_alloc(source->ctx, "names", size, 1, &place));
     snprintf(place, size, "%s:%" PRIu64, source->path, file->library_lines[library]);
-    status = fmt_mtl_read(source->ctx, file->libraries.list[library], place,
-                          library < file->previewed, out);
+    int status = fmt_mtl_read(source->ctx, file->libraries.list[library], place,
+                              library < file->previewed, out);
     bsq_free(source->ctx, place);
     return status;
 }
@@ -163,9 +157,7 @@ static int name_others(struct stream_source *source, struct fmt_materials *out)
             continue;
         if (readable || file->libraries.count == 0)
             add_colorless(readable ? &reader->lost : &reader->bare, source, 1, name);
-        int status = bsq_text_copy(source->ctx, name, &out->list[i].name);
-        if (status)
-            return status;
+        BSQ_PASS(bsq_text_copy(source->ctx, name, &out->list[i].name));
     }
     if (colored && file->plain_faces > 0)
         add_colorless(&reader->plain, source, file->plain_faces, NULL);
@@ -311,14 +303,12 @@ static bool was_previewed(const struct stream_source *source, const char *path)
 int fmt_obj_preview_materials(struct stream_source *source, struct fmt_materials *out)
 {
     struct obj_file *file = source->data;
-    int status;
-    BSQ_TRY(find_libraries(source));
+    BSQ_PASS(find_libraries(source));
     for (uint64_t i = 0; i < file->libraries.count; i++) {
-        BSQ_TRY(bsq_check(source->ctx));
+        BSQ_PASS(bsq_check(source->ctx));
         if (!was_previewed(source, file->libraries.list[i]))
-            BSQ_TRY(read_library(source, i, out));
+            BSQ_PASS(read_library(source, i, out));
     }
     file->previewed = file->libraries.count;
-done:
-    return status;
+    return 0;
 }

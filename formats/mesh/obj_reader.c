@@ -107,11 +107,9 @@ static int enter_part(struct stream_source *source, uint64_t *number)
     const char *object = file->object ? file->object : "";
     const size_t size = OBJ_MATERIAL_DIGITS + strlen(object) + 1;
     char *text;
-    int status = bsq_alloc(source->ctx, "names", size, 1, &text);
-    if (status)
-        return status;
+    BSQ_PASS(bsq_alloc(source->ctx, "names", size, 1, &text));
     snprintf(text, size, "%0*" PRIx32 "%s", OBJ_MATERIAL_DIGITS, file->material, object);
-    status = bsq_texts_add(source->ctx, &source->reader->names, &file->objects, text, number);
+    int status = bsq_texts_add(source->ctx, &source->reader->names, &file->objects, text, number);
     bsq_free(source->ctx, text);
     return status;
 }
@@ -125,7 +123,6 @@ static int add_change(struct stream_slot *slot, const struct stream_statement *s
     struct mesh_arrays *a = &slot->arrays;
     const bool objects = source->reader->objects;
     uint64_t number;
-    int status = 0;
     if (statement->kind == OBJ_OBJECT) {
         bsq_free(source->ctx, file->object);
         file->object = *text;
@@ -134,22 +131,21 @@ static int add_change(struct stream_slot *slot, const struct stream_statement *s
     } else {
         file->material = FMT_MESH_NO_MATERIAL;
         if (**text) {
-            BSQ_TRY(bsq_texts_add(source->ctx, &source->reader->names, &file->materials, *text,
-                                  &number));
+            BSQ_PASS(bsq_texts_add(source->ctx, &source->reader->names, &file->materials, *text,
+                                   &number));
             file->material = (uint32_t)number;
         }
     }
     number = file->material;
     if (objects)
-        BSQ_TRY(enter_part(source, &number));
+        BSQ_PASS(enter_part(source, &number));
     while (source->number_count < (objects ? file->objects.count : file->materials.count))
-        BSQ_TRY(fmt_stream_add_material(source, &file->number));
+        BSQ_PASS(fmt_stream_add_material(source, &file->number));
     file->number = number == FMT_MESH_NO_MATERIAL ? FMT_MESH_NO_MATERIAL : source->numbers[number];
-    BSQ_TRY(FMT_RESERVE(source->ctx, a->change_count + 1, a->changes, a->change_capacity));
+    BSQ_PASS(FMT_RESERVE(source->ctx, a->change_count + 1, a->changes, a->change_capacity));
     a->changes[a->change_count++] =
         (struct fmt_mesh_material_change){.face = statement->face, .material = file->number};
-done:
-    return status;
+    return 0;
 }
 
 static int resolve_statement(struct stream_slot *slot, const struct stream_statement *statement)
@@ -223,7 +219,6 @@ static int pass(struct stream_slot *slot)
     struct stream_source *source = slot->source;
     struct obj_file *file = source->data;
     const uint64_t unknown = slot->odd[OBJ_UNKNOWN].count;
-    int status = 0;
     if (slot->part.first_item == 0)
         begin_reading(source);
     slot->part.first_line = source->lines + 1;
@@ -232,18 +227,16 @@ static int pass(struct stream_slot *slot)
         slot->odd[i].at += source->lines;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         if (slot->part.carry_out >> kind & 1)
-            BSQ_TRY(resolve_corners(slot, (enum fmt_mesh_kind)kind));
+            BSQ_PASS(resolve_corners(slot, (enum fmt_mesh_kind)kind));
     if (slot->error[0])
         return 0;
-    BSQ_TRY(resolve_statements(slot));
+    BSQ_PASS(resolve_statements(slot));
     file->known += (uint64_t)slot->balance + slot->short_faces + slot->arrays.face_count;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         file->known += slot->arrays.count[kind];
     file->unknown += unknown;
     source->reader->totals->skipped_lines += unknown;
-    status = check_is_obj(source, PATIENCE_LINES - 1);
-done:
-    return status;
+    return check_is_obj(source, PATIENCE_LINES - 1);
 }
 
 /* Checks that ZBrush's comments have a colour for each vertex of each file, or none at all. */

@@ -168,15 +168,13 @@ static int read_element(struct lines *l, char *rest)
 {
     struct ply_header *header = l->header;
     const char *name = next_word(&rest), *count = next_word(&rest);
-    int status = BSQ_GROW(l->ctx, "header of a PLY file", header->element_count + 1,
-                          &header->elements, &header->element_capacity);
-    if (status)
-        return status;
+    BSQ_PASS(BSQ_GROW(l->ctx, "header of a PLY file", header->element_count + 1, &header->elements,
+                      &header->element_capacity));
     struct ply_element *element = &header->elements[header->element_count];
     *element = (struct ply_element){.first_property = header->property_count};
     if (!parse_count(count, &element->count))
         return fail_line(l, "not a number of elements:", count);
-    status = bsq_text_copy(l->ctx, name, &element->name);
+    int status = bsq_text_copy(l->ctx, name, &element->name);
     header->element_count += status == 0;
     return status;
 }
@@ -206,12 +204,9 @@ static int read_property(struct lines *l, char *rest)
     property.type = find_type(word);
     if (property.type == PLY_NO_TYPE)
         return fail_line(l, "unknown type", word);
-    int status = BSQ_GROW(l->ctx, "header of a PLY file", header->property_count + 1,
-                          &header->properties, &header->property_capacity);
-    if (!status)
-        status = bsq_text_copy(l->ctx, next_word(&rest), &property.name);
-    if (status)
-        return status;
+    BSQ_PASS(BSQ_GROW(l->ctx, "header of a PLY file", header->property_count + 1,
+                      &header->properties, &header->property_capacity));
+    BSQ_PASS(bsq_text_copy(l->ctx, next_word(&rest), &property.name));
     header->properties[header->property_count++] = property;
     header->elements[header->element_count - 1].property_count++;
     return 0;
@@ -419,15 +414,12 @@ static int find_roles(struct bsq_ctx *ctx, struct fmt_input *input, struct ply_h
 {
     for (uint32_t i = 0; i < header->element_count; i++)
         describe_element(header, &header->elements[i]);
-    int status;
-    BSQ_TRY(check_kinds(ctx, fmt_input_path(input), header));
-    BSQ_TRY(check_is_mesh(ctx, fmt_input_path(input), header));
+    BSQ_PASS(check_kinds(ctx, fmt_input_path(input), header));
+    BSQ_PASS(check_is_mesh(ctx, fmt_input_path(input), header));
     /* Texture coordinates of vertices are not read beside those of corners. */
     if (fmt_ply_find_element(header, PLY_FACES)->role[PLY_CORNER_TEXCOORDS])
         drop_roles(fmt_ply_find_element(header, PLY_VERTICES), header->properties, PLY_S, PLY_T);
-    status = check_size(ctx, input, header);
-done:
-    return status;
+    return check_size(ctx, input, header);
 }
 
 /* ---- the whole header ---- */

@@ -533,29 +533,27 @@ static int reserve(const struct cursor *c, const struct ply_element *element)
     struct bsq_ctx *ctx = c->slot->ctx;
     struct mesh_arrays *a = c->arrays;
     const uint64_t count = c->slot->part.items, numbers = most_numbers(c, element);
-    int status;
     if (element->kind == PLY_VERTICES) {
-        BSQ_TRY(FMT_RESERVE(ctx, count, a->positions, a->position_capacity));
+        BSQ_PASS(FMT_RESERVE(ctx, count, a->positions, a->position_capacity));
         if (element->role[PLY_RED])
-            BSQ_TRY(FMT_RESERVE(ctx, count, a->colors, a->color_capacity));
+            BSQ_PASS(FMT_RESERVE(ctx, count, a->colors, a->color_capacity));
         if (source->vertex_normals)
-            BSQ_TRY(FMT_RESERVE(ctx, count, a->normals, a->normal_capacity));
+            BSQ_PASS(FMT_RESERVE(ctx, count, a->normals, a->normal_capacity));
         if (source->vertex_texcoords)
-            BSQ_TRY(FMT_RESERVE(ctx, count, a->texcoords, a->texcoord_capacity));
+            BSQ_PASS(FMT_RESERVE(ctx, count, a->texcoords, a->texcoord_capacity));
         return 0;
     }
-    BSQ_TRY(FMT_RESERVE(ctx, numbers, a->corners[FMT_MESH_VERTEX],
-                        a->corner_capacity[FMT_MESH_VERTEX]));
-    BSQ_TRY(FMT_RESERVE(ctx, count, a->face_sizes, a->size_capacity));
+    BSQ_PASS(FMT_RESERVE(ctx, numbers, a->corners[FMT_MESH_VERTEX],
+                         a->corner_capacity[FMT_MESH_VERTEX]));
+    BSQ_PASS(FMT_RESERVE(ctx, count, a->face_sizes, a->size_capacity));
     if (source->corner_texcoords) {
-        BSQ_TRY(FMT_RESERVE(ctx, numbers, a->corners[FMT_MESH_TEXCOORD],
-                            a->corner_capacity[FMT_MESH_TEXCOORD]));
-        BSQ_TRY(FMT_RESERVE(ctx, numbers / 2 + 1, a->texcoords, a->texcoord_capacity));
+        BSQ_PASS(FMT_RESERVE(ctx, numbers, a->corners[FMT_MESH_TEXCOORD],
+                             a->corner_capacity[FMT_MESH_TEXCOORD]));
+        BSQ_PASS(FMT_RESERVE(ctx, numbers / 2 + 1, a->texcoords, a->texcoord_capacity));
     }
     if (source->tags != PLY_TAGS_NONE)
-        BSQ_TRY(FMT_RESERVE(ctx, count, a->face_tags, a->tag_capacity));
-done:
-    return status;
+        BSQ_PASS(FMT_RESERVE(ctx, count, a->face_tags, a->tag_capacity));
+    return 0;
 }
 
 int fmt_ply_parse(const struct ply_element *element, struct stream_slot *slot)

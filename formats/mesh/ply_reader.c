@@ -124,9 +124,7 @@ static int cut_equal(struct cutter *c)
     if (__builtin_mul_overflow(items, each, &end) ||
         __builtin_add_overflow(end, c->part->offset, &end))
         end = UINT64_MAX;
-    int status = fmt_input_reach(c->source->input, end, &file_size);
-    if (status)
-        return status;
+    BSQ_PASS(fmt_input_reach(c->source->input, end, &file_size));
     if (end > file_size || end == UINT64_MAX)
         return fail_truncated(c);
     take(c, items, items * each);
@@ -315,34 +313,29 @@ static int copy_vertex_indices(struct stream_slot *slot)
     const bool wanted[FMT_MESH_KIND_COUNT] = {
         [FMT_MESH_NORMAL] = file->vertex_normals, [FMT_MESH_TEXCOORD] = file->vertex_texcoords};
     struct mesh_arrays *a = &slot->arrays;
-    int status = 0;
     for (int kind = FMT_MESH_TEXCOORD; kind <= FMT_MESH_NORMAL && a->face_count > 0; kind++) {
         if (!wanted[kind])
             continue;
-        BSQ_TRY(
+        BSQ_PASS(
             FMT_RESERVE(slot->ctx, a->corner_count, a->corners[kind], a->corner_capacity[kind]));
         a->has_corners[kind] = true;
         memcpy(a->corners[kind], a->corners[FMT_MESH_VERTEX], a->corner_count * sizeof(uint64_t));
     }
-done:
-    return status;
+    return 0;
 }
 
 static int parse(struct stream_slot *slot)
 {
     const struct ply_header *header = &((struct ply_source *)slot->source->data)->header;
-    int status;
     if (slot->part.kind == PLY_PART_REST || header->elements[slot->part.kind].kind == PLY_OTHER)
         return 0;
     const struct ply_element *element = &header->elements[slot->part.kind];
-    BSQ_TRY(fmt_stream_load(slot));
-    BSQ_TRY(fmt_ply_parse(element, slot));
+    BSQ_PASS(fmt_stream_load(slot));
+    BSQ_PASS(fmt_ply_parse(element, slot));
     slot->local = slot->arrays.count[FMT_MESH_TEXCOORD] > 0 && element->kind != PLY_VERTICES
                       ? 1u << FMT_MESH_TEXCOORD
                       : 0;
-    status = copy_vertex_indices(slot);
-done:
-    return status;
+    return copy_vertex_indices(slot);
 }
 
 /* Warns of bytes after the last element, unless they are blank. */
@@ -352,11 +345,11 @@ static int warn_rest(const struct stream_slot *slot)
     const uint64_t bytes = slot->part.end - slot->part.offset;
     char sample[256];
     uint64_t got;
-    int status = fmt_input_read_some(source->input, sample, sizeof sample, slot->part.offset, &got);
-    if (!status && fmt_mesh_count_space(sample, got) < bytes && !source->reader->read_before)
-        status = bsq_warn_loss(source->ctx, "%s: %" PRIu64 " bytes after the last element not read",
-                               source->path, bytes);
-    return status;
+    BSQ_PASS(fmt_input_read_some(source->input, sample, sizeof sample, slot->part.offset, &got));
+    if (fmt_mesh_count_space(sample, got) < bytes && !source->reader->read_before)
+        BSQ_PASS(bsq_warn_loss(source->ctx, "%s: %" PRIu64 " bytes after the last element not read",
+                               source->path, bytes));
+    return 0;
 }
 
 /* ---- materials of faces ---- */
@@ -395,37 +388,33 @@ static int find_material(const struct stream_source *source, uint32_t tag, uint3
     struct stream_source *owner = colors_owner(source);
     const struct ply_source *file = source->data;
     uint64_t number;
-    int status = 0;
     *material = FMT_MESH_NO_MATERIAL;
     if (tag != PLY_NO_TAG && file->tags == PLY_TAGS_TEXTURE) {
         *material = source->numbers[tag];
     } else if (tag != PLY_NO_TAG) {
-        BSQ_TRY(enter_color(owner, tag, &number));
+        BSQ_PASS(enter_color(owner, tag, &number));
         const uint64_t place = owner->material_count + number; /* textures come first */
         if (place == owner->number_count)
-            BSQ_TRY(fmt_stream_add_material(owner, material));
+            BSQ_PASS(fmt_stream_add_material(owner, material));
         *material = owner->numbers[place];
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Turns face_tags into changes of material. */
 static int find_materials(struct stream_slot *slot)
 {
     struct mesh_arrays *a = &slot->arrays;
-    int status = 0;
     for (uint64_t face = 0; face < a->face_count; face++) {
         const uint32_t tag = a->face_tags[face];
         if (face > 0 && tag == a->face_tags[face - 1])
             continue;
-        BSQ_TRY(FMT_RESERVE(slot->ctx, a->change_count + 1, a->changes, a->change_capacity));
+        BSQ_PASS(FMT_RESERVE(slot->ctx, a->change_count + 1, a->changes, a->change_capacity));
         struct fmt_mesh_material_change *change = &a->changes[a->change_count++];
         change->face = face;
-        BSQ_TRY(find_material(slot->source, tag, &change->material));
+        BSQ_PASS(find_material(slot->source, tag, &change->material));
     }
-done:
-    return status;
+    return 0;
 }
 
 static int pass(struct stream_slot *slot)
@@ -440,13 +429,10 @@ static int describe_texture(const struct stream_source *source, const char *name
                             struct fmt_material *out)
 {
     bool exists;
-    int status;
-    BSQ_TRY(bsq_text_copy(source->ctx, name, &out->name));
-    BSQ_TRY(fmt_path_find(source->ctx, fmt_input_beside(source->input), name,
-                          &out->color.texture_path, &exists));
-    status = bsq_text_copy(source->ctx, source->path, &out->color.texture_place);
-done:
-    return status;
+    BSQ_PASS(bsq_text_copy(source->ctx, name, &out->name));
+    BSQ_PASS(fmt_path_find(source->ctx, fmt_input_beside(source->input), name,
+                           &out->color.texture_path, &exists));
+    return bsq_text_copy(source->ctx, source->path, &out->color.texture_place);
 }
 
 static int describe_color(struct bsq_ctx *ctx, const char *name, struct fmt_material *out)
@@ -464,17 +450,15 @@ static int read_materials(struct stream_source *source, struct fmt_materials *ou
 {
     const struct ply_source *file = source->data;
     struct fmt_material *material;
-    int status = 0;
     for (uint32_t i = 0; i < file->header.texture_count; i++) {
-        BSQ_TRY(fmt_materials_add(source->ctx, out, &material));
-        BSQ_TRY(describe_texture(source, file->header.textures[i], material));
+        BSQ_PASS(fmt_materials_add(source->ctx, out, &material));
+        BSQ_PASS(describe_texture(source, file->header.textures[i], material));
     }
     for (uint64_t i = 0; i < file->colors.count; i++) {
-        BSQ_TRY(fmt_materials_add(source->ctx, out, &material));
-        BSQ_TRY(describe_color(source->ctx, file->colors.list[i], material));
+        BSQ_PASS(fmt_materials_add(source->ctx, out, &material));
+        BSQ_PASS(describe_color(source->ctx, file->colors.list[i], material));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* ---- warnings ---- */

@@ -55,9 +55,8 @@ static int open_scene(struct stream_source *source, const char *program)
     struct scene_file *file = source->data;
     struct fmt_scene_head *head = &file->head;
     const uint64_t size = file->output.size;
-    int status;
     if (size >= sizeof *head)
-        BSQ_TRY(bsq_file_read(source->ctx, &file->output, head, sizeof *head, 0));
+        BSQ_PASS(bsq_file_read(source->ctx, &file->output, head, sizeof *head, 0));
     if (strncmp(head->stamp, fmt_program_stamp, sizeof head->stamp) != 0 ||
         head->material_bytes > size - sizeof *head)
         return bsq_fail(source->ctx, BSQ_ENOINPUT,
@@ -69,10 +68,9 @@ static int open_scene(struct stream_source *source, const char *program)
                                        .user = file};
     fmt_input_replace(source->input, &file->meshes);
     /* The program had the memory that is left. Now the largest amount is known. */
-    BSQ_TRY(bsq_reserve(source->ctx, "reading a file by Assimp", head->memory_bytes));
+    BSQ_PASS(bsq_reserve(source->ctx, "reading a file by Assimp", head->memory_bytes));
     bsq_release(source->ctx, head->memory_bytes);
-done:
-    return status;
+    return 0;
 }
 
 static int read_whole(struct stream_source *source, const struct bsq_file *file)
@@ -110,10 +108,8 @@ static int begin(struct stream_source *source)
 {
     struct bsq_file file = BSQ_FILE_CLOSED;
     ((struct scene_file *)source->data)->output = (struct bsq_file)BSQ_FILE_CLOSED;
-    int status = fmt_input_open(source->input);
-    if (status)
-        return status;
-    status = fmt_input_whole(source->input, &file);
+    BSQ_PASS(fmt_input_open(source->input));
+    int status = fmt_input_whole(source->input, &file);
     if (!status)
         status = read_whole(source, &file);
     bsq_file_close(source->ctx, &file);

@@ -145,8 +145,8 @@ static int begin(struct stream_source *source)
 {
     char head[FMT_MESH_HEAD_BYTES];
     uint64_t size = 0;
-    int status = fmt_input_peek(source->input, head, sizeof head, &size);
-    return status ? status : examine(source->ctx, source->input, head, size, source->data);
+    BSQ_PASS(fmt_input_peek(source->input, head, sizeof head, &size));
+    return examine(source->ctx, source->input, head, size, source->data);
 }
 
 /* ---- equal vertices of one part ---- */
@@ -166,21 +166,19 @@ static int begin_weld(struct stream_slot *slot, uint64_t most)
 {
     struct mesh_arrays *a = &slot->arrays;
     uint64_t entries = 1024;
-    int status;
     while (entries < 2 * most)
         entries *= 2;
     if (most > UINT32_MAX / 2)
         return bsq_fail(slot->ctx, BSQ_ENOMEM, "a part of an STL file has too many vertices");
-    BSQ_TRY(FMT_RESERVE(slot->ctx, sizeof(struct weld) + entries * sizeof(uint32_t), slot->work,
-                        slot->work_capacity));
-    BSQ_TRY(FMT_RESERVE(slot->ctx, most, a->positions, a->position_capacity));
+    BSQ_PASS(FMT_RESERVE(slot->ctx, sizeof(struct weld) + entries * sizeof(uint32_t), slot->work,
+                         slot->work_capacity));
+    BSQ_PASS(FMT_RESERVE(slot->ctx, most, a->positions, a->position_capacity));
     if (a->has_colors)
-        BSQ_TRY(FMT_RESERVE(slot->ctx, most, a->colors, a->color_capacity));
+        BSQ_PASS(FMT_RESERVE(slot->ctx, most, a->colors, a->color_capacity));
     struct weld *weld = (struct weld *)(void *)slot->work;
     weld->mask = entries - 1;
     memset(weld->slots, 0, entries * sizeof(uint32_t));
-done:
-    return status;
+    return 0;
 }
 
 static uint64_t hash_position(const double position[3])
@@ -304,18 +302,16 @@ static int parse_binary(const struct stl_source *file, struct stream_slot *slot)
 {
     struct mesh_arrays *a = &slot->arrays;
     const uint64_t count = slot->part.items;
-    int status;
     a->has_colors = any_color(file, slot);
     slot->color_white = 255.0f;
-    BSQ_TRY(begin_weld(slot, 3 * count));
-    BSQ_TRY(FMT_RESERVE(slot->ctx, count, a->face_sizes, a->size_capacity));
-    BSQ_TRY(FMT_RESERVE(slot->ctx, 3 * count, a->corners[FMT_MESH_VERTEX],
-                        a->corner_capacity[FMT_MESH_VERTEX]));
+    BSQ_PASS(begin_weld(slot, 3 * count));
+    BSQ_PASS(FMT_RESERVE(slot->ctx, count, a->face_sizes, a->size_capacity));
+    BSQ_PASS(FMT_RESERVE(slot->ctx, 3 * count, a->corners[FMT_MESH_VERTEX],
+                         a->corner_capacity[FMT_MESH_VERTEX]));
     for (uint64_t i = 0; i < count; i++)
         if (!add_triangle(file, slot, i))
             break;
-done:
-    return status;
+    return 0;
 }
 
 /* ---- text ----

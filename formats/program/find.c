@@ -110,6 +110,6 @@ static int check_addresses(struct bsq_ctx *ctx, const char *purpose)
 
 int fmt_program_check(struct bsq_ctx *ctx, const char *purpose)
 {
-    const int status = check_addresses(ctx, purpose);
-    return status < 0 ? status : check_threads(ctx, purpose);
+    BSQ_PASS(check_addresses(ctx, purpose));
+    return check_threads(ctx, purpose);
 }

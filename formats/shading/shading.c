@@ -26,14 +26,13 @@ static int shading_add(struct fmt_shading *shading, uint32_t number, const struc
 {
     struct bsq_ctx *ctx = shading->ctx;
     const uint32_t count = number < FMT_SHADING_CHANNELS ? FMT_SHADING_CHANNELS : number + 1;
-    int status = 0;
-    BSQ_TRY(BSQ_GROW(ctx, "attributes", count, &shading->attributes, &shading->attribute_capacity));
+    BSQ_PASS(
+        BSQ_GROW(ctx, "attributes", count, &shading->attributes, &shading->attribute_capacity));
     for (; shading->attribute_count < count; shading->attribute_count++)
         shading->attributes[shading->attribute_count] = (struct fmt_attribute){0};
-    BSQ_TRY(BSQ_CALLOC(ctx, "attributes", source_count(shading), sources));
+    BSQ_PASS(BSQ_CALLOC(ctx, "attributes", source_count(shading), sources));
     shading->attributes[number] = (struct fmt_attribute){.row = row, .sources = *sources};
-done:
-    return status;
+    return 0;
 }
 
 int fmt_shading_add_color(struct fmt_shading *shading)
@@ -41,11 +40,11 @@ int fmt_shading_add_color(struct fmt_shading *shading)
     static const struct fmt_channel row = {.name = "color", .values = 3, .color = true};
     const struct fmt_tris_header *header = shading->header;
     struct fmt_tris_source *sources;
-    int status = 0;
     if (!fmt_tris_has_color(header))
         return 0;
-    BSQ_TRY(shading_add(shading, FMT_SHADING_COLOR, &row, &sources));
-    BSQ_TRY(BSQ_CALLOC(shading->ctx, "material colours", source_count(shading), &shading->diffuse));
+    BSQ_PASS(shading_add(shading, FMT_SHADING_COLOR, &row, &sources));
+    BSQ_PASS(
+        BSQ_CALLOC(shading->ctx, "material colours", source_count(shading), &shading->diffuse));
     for (uint32_t m = 0; m < header->material_count; m++) {
         const struct fmt_tris_material *material = &header->materials[m];
         for (int k = 0; k < 3; k++)
@@ -54,8 +53,7 @@ int fmt_shading_add_color(struct fmt_shading *shading)
             sources[m] = (struct fmt_tris_source){
                 .texture_path = material->texture_path, .value = {1, 1, 1}, .uv = material->uv};
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Adds an attribute that an image gives, for all triangles, or else a channel of the chunk file. */
@@ -66,9 +64,7 @@ static int shading_add_channel(struct fmt_shading *shading, uint32_t number, con
     const struct fmt_channel *row = fmt_channel_find(name);
     const uint32_t channel = fmt_tris_find_channel(header, name), none = header->material_count;
     struct fmt_tris_source *sources;
-    int status = shading_add(shading, number, row, &sources);
-    if (status < 0)
-        return status;
+    BSQ_PASS(shading_add(shading, number, row, &sources));
     for (uint64_t m = 0; path && m <= none; m++)
         sources[m] = (struct fmt_tris_source){.texture_path = (char *)(uintptr_t)path,
                                               .value = {1, 1, 1},
@@ -133,9 +129,7 @@ int fmt_shading_id_names(struct bsq_ctx *ctx, const struct fmt_tris_header *head
 {
     const uint64_t all = header->material_count + UINT64_C(1);
     *count = 0;
-    int status = BSQ_ALLOC(ctx, "names of ids", all, names);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_ALLOC(ctx, "names of ids", all, names));
     for (uint64_t m = 0; m < all; m++)
         (*names)[m] = shading_name_of(header, m);
     bsq_sort(*names, all, sizeof **names, by_bytes);
@@ -204,9 +198,7 @@ static int shading_find_textures(const struct fmt_shading *shading)
 
 int fmt_shading_open_textures(struct fmt_shading *shading, uint64_t cache_bytes)
 {
-    const int status = shading_find_textures(shading);
-    if (status < 0)
-        return status;
+    BSQ_PASS(shading_find_textures(shading));
     return fmt_textures_open_each(shading->ctx, shading->attribute_count * source_count(shading),
                                   image_of, shading, cache_bytes, &shading->textures);
 }
@@ -277,10 +269,8 @@ int fmt_shade_attribute(const struct fmt_shading *shading, uint32_t attribute,
         at[k] = fmt_uv_apply(&source->uv, k, footprint->at[k]);
         width[k] = fmt_uv_width(&source->uv, k, footprint->width[k]);
     }
-    int status = fmt_texture_sample(shading->textures, (uint32_t)image, source->uv.wrap, at[0],
-                                    at[1], width[0], width[1], out);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_texture_sample(shading->textures, (uint32_t)image, source->uv.wrap, at[0], at[1],
+                                width[0], width[1], out));
     pick(of->row, source->component, source->value[0], out);
     if (source->component != FMT_CHANNEL_CUTOUT)
         scale(of->row, source->value, out);

@@ -173,7 +173,6 @@ static int open_decoder(struct fmt_rows *rows, const struct format *format, unsi
 {
     struct bsq_ctx *ctx = rows->input.ctx;
     const struct fmt_rows_info *info = &rows->info;
-    int status;
     rows->input.program = format->program;
     rows->input.plugin = format->plugin;
     rows->input.sharers = sharers;
@@ -184,12 +183,10 @@ static int open_decoder(struct fmt_rows *rows, const struct format *format, unsi
         if (!rows->input.stream)
             return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", rows->input.path);
     }
-    BSQ_TRY(rows->decoder->open(&rows->input, &rows->info, &rows->state));
+    BSQ_PASS(rows->decoder->open(&rows->input, &rows->info, &rows->state));
     if (info->width < 1 || info->height < 1 || info->channels < 1)
         return fmt_rows_unreadable(&rows->input, "it has no texels");
-    status = info->whole ? reserve_whole(rows, format->name) : rows_reserve(rows, info->bytes);
-done:
-    return status;
+    return info->whole ? reserve_whole(rows, format->name) : rows_reserve(rows, info->bytes);
 }
 
 /* Replaces the file by a copy of the extent that is the image, unless that is all of it. */

@@ -154,17 +154,15 @@ static int png_rows_read_whole(struct png_rows *rows)
 {
     enum { PASSES = 7 };
     struct bsq_ctx *ctx = rows->input->ctx;
-    int status = 0;
     rows->whole = calloc(rows->height, rows->row_bytes);
     if (!rows->whole)
         return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", rows->input->path);
     for (int pass = 0; pass < PASSES; pass++)
         for (uint32_t y = 0; y < rows->height; y++) {
-            BSQ_TRY(bsq_check(ctx));
-            BSQ_TRY(read_row(rows, rows->whole + y * rows->row_bytes));
+            BSQ_PASS(bsq_check(ctx));
+            BSQ_PASS(read_row(rows, rows->whole + y * rows->row_bytes));
         }
-done:
-    return status;
+    return 0;
 }
 
 static int read_png(void *state, void *row)

@@ -47,14 +47,13 @@ static int open_program(struct fmt_rows_input *input, struct fmt_rows_info *info
     struct program_rows *rows;
     struct fmt_rows_head head = {.stamp = ""};
     char program[PATH_MAX];
-    int status;
-    BSQ_TRY(BSQ_CALLOC(input->ctx, "a texture's decoder", 1, &rows));
+    BSQ_PASS(BSQ_CALLOC(input->ctx, "a texture's decoder", 1, &rows));
     *state = rows;
     *rows = (struct program_rows){
         .ctx = input->ctx, .file = BSQ_FILE_CLOSED, .at = sizeof(struct fmt_rows_head)};
-    BSQ_TRY(program_rows_run(input, &rows->file, program));
+    BSQ_PASS(program_rows_run(input, &rows->file, program));
     if (rows->file.size >= sizeof head)
-        BSQ_TRY(bsq_file_read(input->ctx, &rows->file, &head, sizeof head, 0));
+        BSQ_PASS(bsq_file_read(input->ctx, &rows->file, &head, sizeof head, 0));
     rows->row_bytes = (uint64_t)head.info.width * head.info.channels * head.info.sample_bytes;
     if (strncmp(head.stamp, fmt_program_stamp, sizeof head.stamp) != 0 ||
         rows->file.size != sizeof head + head.info.height * rows->row_bytes)
@@ -62,8 +61,7 @@ static int open_program(struct fmt_rows_input *input, struct fmt_rows_info *info
                         "%s: %s is not of this program's build, or does not work", input->path,
                         program);
     *info = head.info;
-done:
-    return status;
+    return 0;
 }
 
 static int read_program(void *state, void *row)

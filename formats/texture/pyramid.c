@@ -64,18 +64,16 @@ int fmt_blocks_finish(struct fmt_blocks *blocks)
     const uint64_t set_bytes = SET_BLOCKS * BLOCK_BYTES + sizeof(struct block_set);
     uint64_t count = (blocks->bytes - blocks->resident) / set_bytes;
     const uint64_t useful = blocks->file_count / SET_BLOCKS * 2 + 1; /* sets fill unevenly */
-    int status = 0;
     if (blocks->file_count == 0)
         return 0;
     count = count < useful ? count : useful;
-    BSQ_TRY(
+    BSQ_PASS(
         bsq_alloc(blocks->ctx, "texture cache", count, SET_BLOCKS * BLOCK_BYTES, &blocks->slots));
-    BSQ_TRY(BSQ_CALLOC(blocks->ctx, "texture cache", count, &blocks->sets));
+    BSQ_PASS(BSQ_CALLOC(blocks->ctx, "texture cache", count, &blocks->sets));
     blocks->set_count = count;
     for (uint64_t i = 0; i < count; i++)
         pthread_mutex_init(&blocks->sets[i].lock, NULL);
-done:
-    return status;
+    return 0;
 }
 
 void fmt_blocks_free(struct fmt_blocks *blocks)
@@ -98,11 +96,10 @@ static int find_table(struct fmt_blocks *blocks, unsigned bits, double gamma, co
 {
     const uint64_t count = UINT64_C(1) << bits;
     struct transfer *t = blocks->transfers;
-    int status = 0;
     while (t && (t->bits != bits || t->gamma != gamma))
         t = t->next;
     if (!t) {
-        BSQ_TRY(
+        BSQ_PASS(
             bsq_alloc(blocks->ctx, "texture values", 1, sizeof *t + count * sizeof *t->table, &t));
         *t = (struct transfer){.next = blocks->transfers, .bits = bits, .gamma = gamma};
         for (uint64_t i = 0; i < count; i++) {
@@ -112,8 +109,7 @@ static int find_table(struct fmt_blocks *blocks, unsigned bits, double gamma, co
         blocks->transfers = t;
     }
     *out = t->table;
-done:
-    return status;
+    return 0;
 }
 
 /* ---- adding images ---- */
@@ -154,19 +150,17 @@ static int pyramid_find_place(struct fmt_pyramid *p, uint64_t count)
 {
     struct fmt_blocks *blocks = p->blocks;
     const uint64_t bytes = count * BLOCK_BYTES, most = blocks->bytes / 4 * 3;
-    int status = 0;
     if (bytes <= most - blocks->resident) {
-        BSQ_TRY(bsq_alloc(blocks->ctx, "texture", count, BLOCK_BYTES, &p->memory));
+        BSQ_PASS(bsq_alloc(blocks->ctx, "texture", count, BLOCK_BYTES, &p->memory));
         p->resident = bytes;
         blocks->resident += bytes;
     } else {
         if (blocks->file.fd < 0)
-            BSQ_TRY(bsq_file_temp(blocks->ctx, NULL, "textures", &blocks->file));
+            BSQ_PASS(bsq_file_temp(blocks->ctx, NULL, "textures", &blocks->file));
         p->first = blocks->file_count;
         blocks->file_count += count;
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Allocates what adding rows to a level needs. */
@@ -174,14 +168,12 @@ static int pyramid_prepare(struct fmt_pyramid *p, struct level *level)
 {
     struct bsq_ctx *ctx = p->blocks->ctx;
     const uint64_t samples = (uint64_t)level->width * p->channels;
-    int status;
-    BSQ_TRY(BSQ_ALLOC(ctx, "texture rows", samples, &level->row));
+    BSQ_PASS(BSQ_ALLOC(ctx, "texture rows", samples, &level->row));
     if (level->shift > 0)
-        BSQ_TRY(BSQ_CALLOC(ctx, "texture rows", samples, &level->sums));
+        BSQ_PASS(BSQ_CALLOC(ctx, "texture rows", samples, &level->sums));
     if (!p->memory)
-        BSQ_TRY(bsq_calloc(ctx, "texture rows", level->blocks_across, BLOCK_BYTES, &level->band));
-done:
-    return status;
+        BSQ_PASS(bsq_calloc(ctx, "texture rows", level->blocks_across, BLOCK_BYTES, &level->band));
+    return 0;
 }
 
 int fmt_pyramid_begin(struct fmt_pyramid *p, double gamma)
@@ -278,14 +270,14 @@ static bool add_to_above(const struct fmt_pyramid *p, const struct level *below,
 int fmt_pyramid_add_row(struct fmt_pyramid *p, const void *row)
 {
     const float *linear = pyramid_make_linear(p, row);
-    int status = store_row(p, &p->levels[0], p->sample_bytes < 4 ? row : linear);
-    for (uint32_t n = 1; n < p->level_count && status == 0; n++) {
+    BSQ_PASS(store_row(p, &p->levels[0], p->sample_bytes < 4 ? row : linear));
+    for (uint32_t n = 1; n < p->level_count; n++) {
         if (!add_to_above(p, &p->levels[n - 1], &p->levels[n], linear))
             break;
         linear = p->levels[n].row;
-        status = store_row(p, &p->levels[n], linear);
+        BSQ_PASS(store_row(p, &p->levels[n], linear));
     }
-    return status;
+    return 0;
 }
 
 void fmt_pyramid_end(struct fmt_pyramid *p)
@@ -474,7 +466,6 @@ int fmt_pyramid_average(const struct fmt_pyramid *p, double x, double y, double 
                         double height, float out[3])
 {
     double sum[3] = {0, 0, 0}, x0[2], x1[2], y0[2], y1[2];
-    int status = 0;
     width = fmin(fmax(width, 1), p->width);
     height = fmin(fmax(height, 1), p->height);
     const int shift = (int)floor(log2(fmin(width, height) / CELLS_ALONG));
@@ -483,9 +474,8 @@ int fmt_pyramid_average(const struct fmt_pyramid *p, double x, double y, double 
     const int across = wrap(x, width, p->width, x0, x1), down = wrap(y, height, p->height, y0, y1);
     for (int j = 0; j < down; j++)
         for (int i = 0; i < across; i++)
-            BSQ_TRY(add_level(p, level, &(struct rectangle){x0[i], x1[i], y0[j], y1[j]}, sum));
+            BSQ_PASS(add_level(p, level, &(struct rectangle){x0[i], x1[i], y0[j], y1[j]}, sum));
     for (uint32_t c = 0; c < 3; c++)
         out[c] = (float)(sum[p->channels == 3 ? c : 0] / (width * height));
-done:
-    return status;
+    return 0;
 }

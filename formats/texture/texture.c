@@ -75,21 +75,19 @@ static int texture_add(struct fmt_textures *t, const struct fmt_texture_source *
                        const char *path)
 {
     struct bsq_ctx *ctx = t->ctx;
-    int status;
-    BSQ_TRY(BSQ_GROW(ctx, "textures", t->count + 1, &t->list, &t->capacity));
+    BSQ_PASS(BSQ_GROW(ctx, "textures", t->count + 1, &t->list, &t->capacity));
     struct texture *texture = &t->list[t->count++];
     *texture = (struct texture){.source = *source, .first = (uint32_t)t->image_count};
     texture->source.path = path;
     if (!fmt_has_tiles(path))
         return add_image(t, path);
-    BSQ_TRY(bsq_calloc(ctx, "texture tiles", ALL_TILES + 1, 1, &texture->missing));
-    BSQ_TRY(fmt_tile_files_find(ctx, path, &texture->files));
+    BSQ_PASS(bsq_calloc(ctx, "texture tiles", ALL_TILES + 1, 1, &texture->missing));
+    BSQ_PASS(fmt_tile_files_find(ctx, path, &texture->files));
     if (texture->files.count == 0)
         return bsq_fail(ctx, BSQ_ENOINPUT, "%s: no tile of this texture exists", path);
     for (uint64_t i = 0; i < texture->files.count; i++)
-        BSQ_TRY(add_image(t, texture->files.list[i].path));
-done:
-    return status;
+        BSQ_PASS(add_image(t, texture->files.list[i].path));
+    return 0;
 }
 
 /* Lists each distinct source once, in the order of the sources: materials often share a file. */
@@ -496,29 +494,25 @@ static uint32_t take_missing(struct fmt_textures *t, const struct texture *textu
 static int tell_missing(struct fmt_textures *t, const struct texture *texture)
 {
     char names[80] = "";
-    int status = 0;
     if (!texture->missing)
         return 0;
     const char *path = texture->source.path;
     const uint32_t count = take_missing(t, texture, names, sizeof names);
     if (count > 0)
-        BSQ_TRY(bsq_warn_loss(t->ctx,
-                              "%s: %u %s no file that can be read: %s; the scan is black there",
-                              path, count, count == 1 ? "tile has" : "tiles have", names));
+        BSQ_PASS(bsq_warn_loss(t->ctx,
+                               "%s: %u %s no file that can be read: %s; the scan is black there",
+                               path, count, count == 1 ? "tile has" : "tiles have", names));
     if (texture->missing[ALL_TILES] == 1 && !mark_told(t, path, ALL_TILES))
-        BSQ_TRY(bsq_warn_loss(t->ctx, "%s: the scan is black where it lies outside of all tiles",
-                              path));
-done:
-    return status;
+        BSQ_PASS(bsq_warn_loss(t->ctx, "%s: the scan is black where it lies outside of all tiles",
+                               path));
+    return 0;
 }
 
 int fmt_textures_tell_losses(struct fmt_textures *t)
 {
-    int status = 0;
     for (uint64_t i = 0; t && i < t->image_count; i++)
-        BSQ_TRY(tell_broken(t, &t->images[i]));
+        BSQ_PASS(tell_broken(t, &t->images[i]));
     for (uint64_t i = 0; t && i < t->count; i++)
-        BSQ_TRY(tell_missing(t, &t->list[i]));
-done:
-    return status;
+        BSQ_PASS(tell_missing(t, &t->list[i]));
+    return 0;
 }

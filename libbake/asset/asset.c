@@ -99,18 +99,16 @@ static int take_rows(void *arg, const struct bake_map_files *files, uint32_t row
 {
     struct bake_asset *asset = arg;
     const struct tile_images *tile = &asset->tiles[asset->current];
-    int status = 0;
     for (uint32_t first = 0; first < rows; first += CHUNK_ROWS) {
         const uint32_t count = rows - first < CHUNK_ROWS ? rows - first : CHUNK_ROWS;
         for (int k = 0; k < FMT_GLB_TEXTURES; k++) {
             if (!tile->writers[k])
                 continue;
             asset_convert(asset, files, (enum fmt_glb_texture)k, first, count);
-            BSQ_TRY(fmt_image_write_rows(tile->writers[k], asset->rows, count));
+            BSQ_PASS(fmt_image_write_rows(tile->writers[k], asset->rows, count));
         }
     }
-done:
-    return status;
+    return 0;
 }
 
 int bake_asset_begin_tile(struct bake_asset *asset, uint32_t number,
@@ -134,42 +132,38 @@ int bake_asset_begin_tile(struct bake_asset *asset, uint32_t number,
                                            [FMT_GLB_ORM] = found[OCCLUSION] != NO_MAP ||
                                                            found[ROUGHNESS] != NO_MAP ||
                                                            found[METALLIC] != NO_MAP};
-    int status;
     asset->current = number;
     memcpy(tile->map_of, found, sizeof found);
     tile->green_down = options->green_down;
     tile->width = options->width;
     bsq_free(asset->ctx, asset->rows);
     asset->rows = NULL;
-    BSQ_TRY(bsq_alloc(asset->ctx, "rows of a GLB file", (uint64_t)CHUNK_ROWS * options->width,
-                      3 * sizeof *asset->rows, &asset->rows));
+    BSQ_PASS(bsq_alloc(asset->ctx, "rows of a GLB file", (uint64_t)CHUNK_ROWS * options->width,
+                       3 * sizeof *asset->rows, &asset->rows));
     for (int k = 0; k < FMT_GLB_TEXTURES; k++) {
         image.color = k == FMT_GLB_BASE_COLOR;
         image.rounded = k == FMT_GLB_NORMAL;
         if (wanted[k])
-            BSQ_TRY(fmt_image_create(asset->ctx, &fmt_png_format, asset->path, &image,
-                                     &tile->writers[k]));
+            BSQ_PASS(fmt_image_create(asset->ctx, &fmt_png_format, asset->path, &image,
+                                      &tile->writers[k]));
     }
     bake_map_files_watch(files, take_rows, asset);
-done:
-    return status;
+    return 0;
 }
 
 int bake_asset_end_tile(struct bake_asset *asset, uint32_t number)
 {
     struct tile_images *tile = &asset->tiles[number];
-    int status = 0;
     for (int k = 0; k < FMT_GLB_TEXTURES; k++) {
         struct fmt_image_writer *writer = tile->writers[k];
         struct bsq_output *output;
         if (!writer)
             continue;
         tile->writers[k] = NULL;
-        BSQ_TRY(fmt_image_hand_over(writer, &output));
-        BSQ_TRY(bsq_output_keep_temp(output, &tile->files[k]));
+        BSQ_PASS(fmt_image_hand_over(writer, &output));
+        BSQ_PASS(bsq_output_keep_temp(output, &tile->files[k]));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* ---- vertices and indices ---- */

@@ -25,16 +25,14 @@ static int read_texts(struct bsq_ctx *ctx, const void *png, struct fmt_exr_image
 {
     const char *name, *value;
     uint64_t capacity = 0;
-    int status = 0;
     for (uint32_t i = 0; fmt_png_text(png, i, &name, &value); i++) {
-        BSQ_TRY(BSQ_GROW(ctx, "a map's attributes", i + UINT64_C(1), &out->attributes, &capacity));
+        BSQ_PASS(BSQ_GROW(ctx, "a map's attributes", i + UINT64_C(1), &out->attributes, &capacity));
         struct fmt_exr_attribute *attribute = &out->attributes[out->attribute_count++];
         *attribute = (struct fmt_exr_attribute){0};
-        BSQ_TRY(bsq_text_copy(ctx, name, &attribute->name));
-        BSQ_TRY(bsq_text_copy(ctx, value, &attribute->value));
+        BSQ_PASS(bsq_text_copy(ctx, name, &attribute->name));
+        BSQ_PASS(bsq_text_copy(ctx, value, &attribute->value));
     }
-done:
-    return status;
+    return 0;
 }
 
 static void to_floats(const struct fmt_rows_info *info, const uint8_t *row, float *out)
@@ -59,12 +57,10 @@ static int name_channels(struct bsq_ctx *ctx, const struct fmt_rows_info *info,
 {
     static const char *const grey[] = {"Y", "A"}, *const rgb[] = {"R", "G", "B", "A"};
     const char *const *names = info->channels >= 3 ? rgb : grey;
-    int status;
-    BSQ_TRY(BSQ_CALLOC(ctx, "a map's channels", info->channels, &out->channels));
+    BSQ_PASS(BSQ_CALLOC(ctx, "a map's channels", info->channels, &out->channels));
     for (; out->channel_count < info->channels; out->channel_count++)
-        BSQ_TRY(bsq_text_copy(ctx, names[out->channel_count], &out->channels[out->channel_count]));
-done:
-    return status;
+        BSQ_PASS(bsq_text_copy(ctx, names[out->channel_count], &out->channels[out->channel_count]));
+    return 0;
 }
 
 static int compare_read_rows(struct bsq_ctx *ctx, struct fmt_rows *rows, struct fmt_exr_image *out)
@@ -140,20 +136,18 @@ static int compare_load_image(struct bsq_ctx *ctx, const struct bake_compare_opt
                               struct bake_comparison *c)
 {
     struct bake_samples mask;
-    int status;
-    BSQ_TRY(compare_read_map(ctx, o->a_path, &c->a, &c->a_samples));
-    BSQ_TRY(compare_read_map(ctx, o->b_path, &c->b, &c->b_samples));
-    BSQ_TRY(check_same_size(ctx, o->a_path, &c->a, o->b_path, &c->b));
+    BSQ_PASS(compare_read_map(ctx, o->a_path, &c->a, &c->a_samples));
+    BSQ_PASS(compare_read_map(ctx, o->b_path, &c->b, &c->b_samples));
+    BSQ_PASS(check_same_size(ctx, o->a_path, &c->a, o->b_path, &c->b));
     if (o->a_mask_path) {
-        BSQ_TRY(compare_read_map(ctx, o->a_mask_path, &c->a_mask, &mask));
-        BSQ_TRY(check_same_size(ctx, o->a_mask_path, &c->a_mask, o->a_path, &c->a));
+        BSQ_PASS(compare_read_map(ctx, o->a_mask_path, &c->a_mask, &mask));
+        BSQ_PASS(check_same_size(ctx, o->a_mask_path, &c->a_mask, o->a_path, &c->a));
     }
     if (o->b_mask_path) {
-        BSQ_TRY(compare_read_map(ctx, o->b_mask_path, &c->b_mask, &mask));
-        BSQ_TRY(check_same_size(ctx, o->b_mask_path, &c->b_mask, o->b_path, &c->b));
+        BSQ_PASS(compare_read_map(ctx, o->b_mask_path, &c->b_mask, &mask));
+        BSQ_PASS(check_same_size(ctx, o->b_mask_path, &c->b_mask, o->b_path, &c->b));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* ---- channels ---- */
@@ -287,17 +281,15 @@ static int compare_make_linear(struct bsq_ctx *ctx, const struct bake_samples *o
 {
     const uint64_t samples = (uint64_t)image->width * image->channel_count;
     const uint32_t alpha = fmt_exr_channel(image, "A");
-    int status = 0;
     for (uint64_t y = 0; y < image->height && of->gamma != 1; y++) {
         float *row = image->samples + y * samples;
-        BSQ_TRY(bsq_check(ctx));
+        BSQ_PASS(bsq_check(ctx));
         for (uint64_t i = 0; i < samples; i++)
             if (i % image->channel_count != alpha)
                 row[i] = (float)(of->gamma == 0 ? bsq_srgb_to_linear((double)row[i])
                                                 : pow((double)row[i], of->gamma));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Reads up to three numbers of an attribute. Returns how many there are. */
@@ -335,18 +327,16 @@ static void decode_values(const struct bake_samples *of, struct fmt_exr_image *i
  * they are encoded. */
 static int compare_decode(struct bsq_ctx *ctx, struct bake_comparison *c)
 {
-    int status = 0;
     if (c->kind == BAKE_COMPARE_COLOR) {
-        BSQ_TRY(compare_make_linear(ctx, &c->a_samples, &c->a));
-        BSQ_TRY(compare_make_linear(ctx, &c->b_samples, &c->b));
+        BSQ_PASS(compare_make_linear(ctx, &c->a_samples, &c->a));
+        BSQ_PASS(compare_make_linear(ctx, &c->b_samples, &c->b));
     }
     if (c->kind == BAKE_COMPARE_DATA && fmt_exr_image_attribute(&c->a, "bisque:scale") &&
         fmt_exr_image_attribute(&c->b, "bisque:scale")) {
         decode_values(&c->a_samples, &c->a);
         decode_values(&c->b_samples, &c->b);
     }
-done:
-    return status;
+    return 0;
 }
 
 /* ---- the error of a texel ---- */

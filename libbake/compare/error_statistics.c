@@ -171,9 +171,7 @@ int bake_comparison_summarise(struct bsq_ctx *ctx, const struct bake_compare_opt
     r->width = c->a.width;
     r->height = c->a.height;
     sum_errors(ctx, c, r);
-    int status = bsq_check(ctx);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bsq_check(ctx));
     if (r->compared == 0 && (r->not_finite == 0 || o->ignore_nan))
         return bsq_fail(ctx, BSQ_EDATA, "no texel is covered by both %s and %s%s", o->a_path,
                         o->b_path, r->not_finite > 0 ? " and finite in both" : "");
@@ -185,6 +183,6 @@ int bake_comparison_summarise(struct bsq_ctx *ctx, const struct bake_compare_opt
         measure_noise(ctx, c, r);
     if (c->kind == BAKE_COMPARE_DATA)
         measure_relative(ctx, c, r);
-    status = bsq_check(ctx);
-    return status < 0 ? status : find_percentiles(ctx, c, r);
+    BSQ_PASS(bsq_check(ctx));
+    return find_percentiles(ctx, c, r);
 }

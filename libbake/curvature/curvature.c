@@ -168,7 +168,6 @@ static int trace_missing(struct work *work, uint64_t texels, uint32_t each, doub
 {
     const uint64_t most = work->most * PROBES / each;
     uint64_t listed = 0;
-    int status = 0;
     work->each = each;
     for (uint64_t i = 0; i < texels * PROBES; ++i)
         if (!work->probes[i].found && curvature_is_valid(work, i / PROBES))
@@ -182,12 +181,11 @@ static int trace_missing(struct work *work, uint64_t texels, uint32_t each, doub
                                                          .t_min = -range,
                                                          .t_max = range},
                                                .objects = work->ray_objects};
-        BSQ_TRY(bsq_parallel_ranges(work->ctx, count, PROBES_A_TASK, cast_probes, &task));
-        BSQ_TRY(bake_surface_trace(work->job->surface, &rays));
-        BSQ_TRY(bsq_parallel_ranges(work->ctx, count, PROBES_A_TASK, take_probes, &task));
+        BSQ_PASS(bsq_parallel_ranges(work->ctx, count, PROBES_A_TASK, cast_probes, &task));
+        BSQ_PASS(bake_surface_trace(work->job->surface, &rays));
+        BSQ_PASS(bsq_parallel_ranges(work->ctx, count, PROBES_A_TASK, take_probes, &task));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* ---- curvature ---- */
@@ -247,18 +245,16 @@ static int trace_texels(struct work *work, uint32_t x, uint32_t y, uint32_t widt
 {
     const struct bake_curvature *job = work->job;
     const uint64_t texels = (uint64_t)width * rows;
-    int status = 0;
     memset(work->probes, 0, texels * PROBES * sizeof *work->probes);
     if (work->objects)
-        BSQ_TRY(job->objects(job->objects_arg, x, y, width, rows, work->objects));
-    BSQ_TRY(trace_missing(work, texels, 1, job->radius));
-    BSQ_TRY(trace_missing(work, texels, 2, sqrt(2.0) * job->radius));
+        BSQ_PASS(job->objects(job->objects_arg, x, y, width, rows, work->objects));
+    BSQ_PASS(trace_missing(work, texels, 1, job->radius));
+    BSQ_PASS(trace_missing(work, texels, 2, sqrt(2.0) * job->radius));
     curvature_count_texels(work, texels);
-    BSQ_TRY(bsq_parallel_ranges(work->ctx, texels, TEXELS_A_TASK, resolve_texels, work));
-    BSQ_TRY(bake_surface_check(job->surface));
+    BSQ_PASS(bsq_parallel_ranges(work->ctx, texels, TEXELS_A_TASK, resolve_texels, work));
+    BSQ_PASS(bake_surface_check(job->surface));
     bsq_progress_add(work->ctx, texels);
-done:
-    return status;
+    return 0;
 }
 
 static int trace_band(void *arg, uint32_t first_row, uint32_t rows, float *texels)
@@ -266,12 +262,11 @@ static int trace_band(void *arg, uint32_t first_row, uint32_t rows, float *texel
     struct work *work = arg;
     const uint32_t width = work->job->image->width;
     const uint32_t columns = work->most < width ? (uint32_t)work->most : width;
-    int status = 0;
-    for (uint32_t x = 0; status == 0 && x < width; x += columns) {
+    for (uint32_t x = 0; x < width; x += columns) {
         work->texels = texels + (size_t)x * work->channels;
-        status = trace_texels(work, x, first_row, width - x < columns ? width - x : columns, rows);
+        BSQ_PASS(trace_texels(work, x, first_row, width - x < columns ? width - x : columns, rows));
     }
-    return status;
+    return 0;
 }
 
 /* ---- memory ---- */
@@ -287,17 +282,14 @@ static int curvature_allocate(struct work *work)
     work->channels = image->channels;
     work->most = fitting < 1 ? 1 : fitting < all ? fitting : all;
     const uint64_t rays = work->most * PROBES;
-    int status = 0;
-    BSQ_TRY(BSQ_ALLOC(ctx, "rays", rays, &work->rays));
-    BSQ_TRY(BSQ_ALLOC(ctx, "hits", rays, &work->hits));
-    BSQ_TRY(BSQ_ALLOC(ctx, "points", rays, &work->probes));
-    BSQ_TRY(BSQ_ALLOC(ctx, "points", rays, &work->listed));
+    BSQ_PASS(BSQ_ALLOC(ctx, "rays", rays, &work->rays));
+    BSQ_PASS(BSQ_ALLOC(ctx, "hits", rays, &work->hits));
+    BSQ_PASS(BSQ_ALLOC(ctx, "points", rays, &work->probes));
+    BSQ_PASS(BSQ_ALLOC(ctx, "points", rays, &work->listed));
     if (!work->job->objects)
         return 0;
-    BSQ_TRY(BSQ_ALLOC(ctx, "objects of texels", work->most, &work->objects));
-    status = BSQ_ALLOC(ctx, "objects of rays", rays, &work->ray_objects);
-done:
-    return status;
+    BSQ_PASS(BSQ_ALLOC(ctx, "objects of texels", work->most, &work->objects));
+    return BSQ_ALLOC(ctx, "objects of rays", rays, &work->ray_objects);
 }
 
 int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *job,

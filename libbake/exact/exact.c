@@ -48,9 +48,7 @@ static int exact_choose_normals(struct bake_exact *exact)
 
 static int exact_open_file(struct bake_exact *exact)
 {
-    int status = fmt_tris_open(exact->ctx, exact->options.path, &exact->file);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_tris_open(exact->ctx, exact->options.path, &exact->file));
     exact->header = fmt_tris_get_header(exact->file);
     exact->shading = (struct fmt_shading){.ctx = exact->ctx,
                                           .path = exact->options.path,
@@ -62,8 +60,8 @@ static int exact_open_file(struct bake_exact *exact)
                         exact->options.path, exact->header->chunk_count, EXACT_TREE_BOXES);
     exact->chunk_count = (uint32_t)exact->header->chunk_count;
     exact->simd = bsq_simd_best();
-    status = exact_choose_normals(exact);
-    return status < 0 ? status : build_chunk_tree(exact);
+    BSQ_PASS(exact_choose_normals(exact));
+    return build_chunk_tree(exact);
 }
 
 int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *options,
@@ -71,12 +69,10 @@ int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *option
 {
     struct bake_exact *exact;
     *out = NULL;
-    int status = BSQ_CALLOC(ctx, "scan", 1, &exact);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_CALLOC(ctx, "scan", 1, &exact));
     exact->ctx = ctx;
     exact->options = *options;
-    status = BSQ_CALLOC(ctx, "scan", 1, &exact->loads);
+    int status = BSQ_CALLOC(ctx, "scan", 1, &exact->loads);
     if (status == 0)
         status = exact_open_file(exact);
     if (status < 0)
@@ -128,18 +124,15 @@ static uint64_t cache_bytes(const struct bake_exact *exact)
 int bake_exact_use(struct bake_exact *exact, const struct bake_exact_attributes *attributes)
 {
     struct fmt_shading *shading = &exact->shading;
-    int status = 0;
     if (attributes->color)
-        BSQ_TRY(fmt_shading_add_color(shading));
+        BSQ_PASS(fmt_shading_add_color(shading));
     for (uint32_t i = 0; i < attributes->transfer_count; i++)
-        BSQ_TRY(fmt_shading_add_channel(shading, attributes->transfers[i].name,
-                                        attributes->transfers[i].texture_path));
-    BSQ_TRY(fmt_shading_add_normal_map(shading, attributes->normal_map));
+        BSQ_PASS(fmt_shading_add_channel(shading, attributes->transfers[i].name,
+                                         attributes->transfers[i].texture_path));
+    BSQ_PASS(fmt_shading_add_normal_map(shading, attributes->normal_map));
     if (attributes->ids && exact->header->ids != FMT_IDS_NONE)
-        BSQ_TRY(fmt_shading_add_ids(shading));
-    status = fmt_shading_open_textures(shading, cache_bytes(exact));
-done:
-    return status;
+        BSQ_PASS(fmt_shading_add_ids(shading));
+    return fmt_shading_open_textures(shading, cache_bytes(exact));
 }
 
 int bake_exact_tell_losses(const struct bake_exact *exact)

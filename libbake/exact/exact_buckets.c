@@ -227,9 +227,7 @@ static uint64_t sum_counts(struct sorting *s)
 static int sort_rays(struct sorting *s)
 {
     for (;;) {
-        int status = count_pairs(s);
-        if (status < 0)
-            return status;
+        BSQ_PASS(count_pairs(s));
         uint64_t pairs = sum_counts(s);
         if (pairs <= s->buckets->capacity)
             break;

@@ -220,8 +220,7 @@ int bake_exact_look_from(struct bake_exact_look *look, const struct bake_viewpoi
         BSQ_TRY(
             bsq_parallel_ranges(look->exact->ctx, viewpoints->count, BLOCK, trace_block, &pass));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* ---- memory ---- */
@@ -280,9 +279,7 @@ int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *par
 {
     struct bake_exact_look *look;
     *out = NULL;
-    int status = BSQ_CALLOC(exact->ctx, "secondary rays", 1, &look);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_CALLOC(exact->ctx, "secondary rays", 1, &look));
     look->exact = exact;
     look->params = params;
     status = look_allocate(look);

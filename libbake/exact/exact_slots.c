@@ -91,9 +91,8 @@ int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint6
     const struct sizes sizes = buffer_sizes(exact);
     const struct plan plan = plan_slots(exact, most, bsq_threads(ctx), memory);
     *out = (struct exact_slots){.count = plan.slots, .preparers = plan.preparers};
-    int status = 0;
-    BSQ_TRY(BSQ_CALLOC(ctx, "chunks in memory", plan.slots, &out->slots));
-    BSQ_TRY(bsq_alloc(ctx, "chunks in memory", plan.bytes, 1, &out->memory));
+    BSQ_PASS(BSQ_CALLOC(ctx, "chunks in memory", plan.slots, &out->slots));
+    BSQ_PASS(bsq_alloc(ctx, "chunks in memory", plan.bytes, 1, &out->memory));
     char *at = out->memory;
     for (uint32_t s = 0; s < plan.slots; s++, at += sizes.slot) {
         out->slots[s].chunk_memory = at;
@@ -101,8 +100,7 @@ int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint6
     }
     out->boxes = at;
     out->boxes_bytes = sizes.boxes;
-done:
-    return status;
+    return 0;
 }
 
 void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots)

@@ -193,10 +193,8 @@ static int list_blocks(struct wave *wave)
         const uint64_t end = wave->buckets->starts[wave->memory->slots.slots[s].number + 1];
         for (uint64_t at = wave->buckets->starts[wave->memory->slots.slots[s].number]; at < end;
              at += BLOCK) {
-            int status = BSQ_GROW(wave->exact->ctx, "blocks of rays", wave->block_count + 1,
-                                  &wave->blocks, &wave->block_capacity);
-            if (status < 0)
-                return status;
+            BSQ_PASS(BSQ_GROW(wave->exact->ctx, "blocks of rays", wave->block_count + 1,
+                              &wave->blocks, &wave->block_capacity));
             wave->blocks[wave->block_count++] =
                 (struct block){s, at, at + BLOCK < end ? at + BLOCK : end};
         }
@@ -208,13 +206,10 @@ static int list_blocks(struct wave *wave)
 static int shade_wave(struct wave *wave)
 {
     struct bsq_ctx *ctx = wave->exact->ctx;
-    int status = 0;
     wave->shading = true;
     if (wave->exact->smooth)
-        BSQ_TRY(bsq_parallel_for(ctx, wave->used, load_slot_normals, wave));
-    status = bsq_parallel_for(ctx, wave->block_count, run_block, wave);
-done:
-    return status;
+        BSQ_PASS(bsq_parallel_for(ctx, wave->used, load_slot_normals, wave));
+    return bsq_parallel_for(ctx, wave->block_count, run_block, wave);
 }
 
 /* Lets the system read the chunks of the next wave while this one is traced. Samples are not worth
@@ -237,19 +232,17 @@ static int run_wave(struct wave *wave)
 {
     struct bsq_ctx *ctx = wave->exact->ctx;
     struct bake_exact_sweep *memory = wave->memory;
-    int status = 0;
     wave->shading = false;
     for (uint32_t s = 0; s < wave->used; s++)
         memory->slots.slots[s].loaded = false;
-    BSQ_TRY(bsq_parallel_for(ctx, wave->used, prepare_slot, wave));
+    BSQ_PASS(bsq_parallel_for(ctx, wave->used, prepare_slot, wave));
     read_ahead(wave);
-    BSQ_TRY(list_blocks(wave));
-    BSQ_TRY(bsq_parallel_for(ctx, wave->block_count, run_block, wave));
+    BSQ_PASS(list_blocks(wave));
+    BSQ_PASS(bsq_parallel_for(ctx, wave->block_count, run_block, wave));
     if (!wave->batch->distances_only)
-        BSQ_TRY(shade_wave(wave));
+        BSQ_PASS(shade_wave(wave));
     wave->used = 0;
-done:
-    return status;
+    return 0;
 }
 
 static int run_waves(struct wave *wave)
@@ -330,13 +323,11 @@ static int clear_hits(void *arg, uint64_t begin, uint64_t end, unsigned worker)
  */
 static int trace_part(struct wave *wave, struct exact_buckets *buckets, uint64_t *done)
 {
-    int status = 0;
     wave->bundle_count = exact_bundles(wave->batch->count) - *done;
-    BSQ_TRY(bake_exact_sort_rays(wave->exact, wave->batch, *done, &wave->bundle_count, buckets));
-    BSQ_TRY(run_waves(wave));
+    BSQ_PASS(bake_exact_sort_rays(wave->exact, wave->batch, *done, &wave->bundle_count, buckets));
+    BSQ_PASS(run_waves(wave));
     *done += wave->bundle_count;
-done:
-    return status;
+    return 0;
 }
 
 int bake_exact_trace(struct bake_exact *exact, const struct bake_ray_batch *batch)

@@ -100,12 +100,12 @@ static int count_layers(void *arg, uint32_t first_row, uint32_t rows, float *tex
 static int make_layers(struct work *work)
 {
     const double least = work->filter->texel * RADIUS;
-    int status = 0;
     for (int k = 0; k < 3; k++) {
         work->low[k] = INFINITY;
         work->high[k] = -INFINITY;
     }
-    BSQ_TRY(bake_image_bands(work->ctx, work->filter->image, BAND_ROWS, false, widen_bounds, work));
+    BSQ_PASS(
+        bake_image_bands(work->ctx, work->filter->image, BAND_ROWS, false, widen_bounds, work));
     for (int k = 1; k < 3; k++)
         if (work->high[k] - work->low[k] > work->high[work->axis] - work->low[work->axis])
             work->axis = k;
@@ -114,13 +114,13 @@ static int make_layers(struct work *work)
         return 0; /* no texel is valid */
     work->cell = fmax(least, extent / MOST_LAYERS);
     work->layer_count = (uint32_t)(extent / work->cell) + 1;
-    BSQ_TRY(BSQ_CALLOC(work->ctx, "layers of texels", work->layer_count, &work->ends));
-    BSQ_TRY(BSQ_CALLOC(work->ctx, "layers of texels", work->layer_count, &work->next));
-    BSQ_TRY(bake_image_bands(work->ctx, work->filter->image, BAND_ROWS, false, count_layers, work));
+    BSQ_PASS(BSQ_CALLOC(work->ctx, "layers of texels", work->layer_count, &work->ends));
+    BSQ_PASS(BSQ_CALLOC(work->ctx, "layers of texels", work->layer_count, &work->next));
+    BSQ_PASS(
+        bake_image_bands(work->ctx, work->filter->image, BAND_ROWS, false, count_layers, work));
     for (uint32_t i = 1; i < work->layer_count; i++)
         work->ends[i] += work->ends[i - 1];
-done:
-    return status;
+    return 0;
 }
 
 /* Returns the number of texels in the layers before one. */
@@ -320,15 +320,12 @@ static int choose_window(struct work *work, uint32_t first, uint64_t most)
 static int filter_window(struct work *work)
 {
     struct bake_image *image = work->filter->image;
-    int status;
     filter_begin_reading(work);
-    BSQ_TRY(bake_image_bands(work->ctx, image, BAND_ROWS, false, take_points, work));
-    BSQ_TRY(bsq_parallel_for(work->ctx, work->end - work->begin, sort_layer, work));
-    BSQ_TRY(bsq_parallel_for(work->ctx, work->last - work->first, filter_layer, work));
+    BSQ_PASS(bake_image_bands(work->ctx, image, BAND_ROWS, false, take_points, work));
+    BSQ_PASS(bsq_parallel_for(work->ctx, work->end - work->begin, sort_layer, work));
+    BSQ_PASS(bsq_parallel_for(work->ctx, work->last - work->first, filter_layer, work));
     filter_begin_reading(work);
-    BSQ_TRY(bake_image_bands(work->ctx, image, BAND_ROWS, true, put_results, work));
-done:
-    return status;
+    return bake_image_bands(work->ctx, image, BAND_ROWS, true, put_results, work);
 }
 
 int bake_filter(struct bsq_ctx *ctx, const struct bake_filter *filter)

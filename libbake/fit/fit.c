@@ -180,16 +180,14 @@ static int judge_openness(struct fit *fit)
 static int fit_allocate(struct fit *fit)
 {
     struct bsq_ctx *ctx = fit->surface->ctx;
-    int status;
-    BSQ_TRY(BSQ_ALLOC(ctx, "distances", fit->count, &fit->probes));
-    BSQ_TRY(BSQ_ALLOC(ctx, "distances", fit->count, &fit->rays));
-    BSQ_TRY(BSQ_ALLOC(ctx, "distances", fit->count, &fit->hits));
-    BSQ_TRY(BSQ_ALLOC(ctx, "distances", fit->count, &fit->distances));
-    BSQ_TRY(BSQ_ALLOC(ctx, "distances", fit->count, &fit->reaches));
+    BSQ_PASS(BSQ_ALLOC(ctx, "distances", fit->count, &fit->probes));
+    BSQ_PASS(BSQ_ALLOC(ctx, "distances", fit->count, &fit->rays));
+    BSQ_PASS(BSQ_ALLOC(ctx, "distances", fit->count, &fit->hits));
+    BSQ_PASS(BSQ_ALLOC(ctx, "distances", fit->count, &fit->distances));
+    BSQ_PASS(BSQ_ALLOC(ctx, "distances", fit->count, &fit->reaches));
     if (fit->surface->sees)
-        BSQ_TRY(BSQ_ALLOC(ctx, "distances", fit->count, &fit->objects));
-done:
-    return status;
+        BSQ_PASS(BSQ_ALLOC(ctx, "distances", fit->count, &fit->objects));
+    return 0;
 }
 
 /* Traces all probes, for lengths and for the score of the mesh as it is. */

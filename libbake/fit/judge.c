@@ -250,9 +250,7 @@ static int judge_inverted(struct fit *fit)
     for (uint32_t i = 0; i < FEW; ++i)
         bake_fit_set_ray(fit, &fit->probes[i * (fit->count / FEW)], NULL, i);
     const double limit = FAR * fit->scan_size + fit->surface->detail;
-    int status = bake_fit_trace(fit, FEW, -limit, limit, true);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bake_fit_trace(fit, FEW, -limit, limit, true));
     const struct score score = bake_fit_score(fit, 0, FEW, fmin(fit->scan_size, fit->low_size));
     return fits_better(&score, &fit->score)
                ? bsq_fail(fit->surface->ctx, BSQ_EDATA,

@@ -82,9 +82,7 @@ static int list_leaves(struct builder *builder)
     struct leaf *leaves = builder->leaves;
     uint64_t count = 0;
     for (uint32_t number = 0; number < builder->grid->leaf_count; number++) {
-        const int status = number % CHECKED ? 0 : bsq_check(builder->ctx);
-        if (status < 0)
-            return status;
+        BSQ_PASS(number % CHECKED ? 0 : bsq_check(builder->ctx));
         count += set_leaf(builder->grid, number, &leaves[count]);
     }
     bsq_sort(leaves, count, sizeof *leaves, by_key);
@@ -310,16 +308,15 @@ static int add_empty_root(struct builder *builder)
 static int add_nodes(struct builder *builder)
 {
     struct bake_tree *tree = builder->tree;
-    int status;
-    BSQ_TRY(leaves_append(builder, &(struct range){0, builder->leaf_count}, 1));
+    BSQ_PASS(leaves_append(builder, &(struct range){0, builder->leaf_count}, 1));
     for (uint64_t i = 0; i < tree->count; i++) {
         if (i % CHECKED == 0)
-            BSQ_TRY(bsq_check(builder->ctx));
-        BSQ_TRY(add_children(builder, i));
+            BSQ_PASS(bsq_check(builder->ctx));
+        BSQ_PASS(add_children(builder, i));
     }
     for (uint64_t i = tree->count; i-- > 0;) {
         if (i % CHECKED == 0)
-            BSQ_TRY(bsq_check(builder->ctx));
+            BSQ_PASS(bsq_check(builder->ctx));
         if (bake_tree_is_leaf(&tree->nodes[i]))
             make_blocks(builder->grid, tree, &tree->nodes[i]);
         else
@@ -328,8 +325,7 @@ static int add_nodes(struct builder *builder)
     const struct box whole = node_box(&tree->nodes[0]);
     memcpy(tree->low, whole.low, sizeof tree->low);
     memcpy(tree->high, whole.high, sizeof tree->high);
-done:
-    return status;
+    return 0;
 }
 
 /* Fails for a grid that is wider than BAKE_TREE_EXTENT or has too many leaves. */

@@ -134,17 +134,14 @@ static int check_map(const struct bake_work *job, unsigned map)
 /* Chooses the maps, after the scan was opened. */
 static int choose_maps(struct bake_work *job)
 {
-    int status = 0;
     struct bake_options chosen = *job->options;
     if (leaves_choice(job->options))
-        BSQ_TRY(choose_from(&job->surface, job->options->maps, &chosen.maps));
+        BSQ_PASS(choose_from(&job->surface, job->options->maps, &chosen.maps));
     job->maps = bake_selection(&chosen);
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
         if (job->maps & 1u << i)
-            BSQ_TRY(check_map(job, i));
-    BSQ_TRY(bake_check_maps(job->ctx, job->options, job->maps));
-done:
-    return status;
+            BSQ_PASS(check_map(job, i));
+    return bake_check_maps(job->ctx, job->options, job->maps);
 }
 
 /* Makes hits carry what the maps need. */
@@ -246,18 +243,15 @@ static int check_tile_paths(struct bake_work *job)
 static int begin_tiles(struct bake_work *job)
 {
     const struct bake_low_set *sets = job->mesh.sets;
-    int status = 0;
-    BSQ_TRY(bake_udim_find(job->ctx, job->options, &job->mesh, &job->udim));
-    BSQ_TRY(BSQ_CALLOC(job->ctx, "tiles", job->udim.count, &job->tiles));
+    BSQ_PASS(bake_udim_find(job->ctx, job->options, &job->mesh, &job->udim));
+    BSQ_PASS(BSQ_CALLOC(job->ctx, "tiles", job->udim.count, &job->tiles));
     for (uint32_t i = 0; i < job->udim.count; ++i)
-        BSQ_TRY(begin_tile(job->ctx, job->options, job->maps,
-                           sets ? &sets[job->udim.tiles[i].set] : NULL, &job->udim.tiles[i],
-                           &job->tiles[i]));
-    BSQ_TRY(check_tile_paths(job));
+        BSQ_PASS(begin_tile(job->ctx, job->options, job->maps,
+                            sets ? &sets[job->udim.tiles[i].set] : NULL, &job->udim.tiles[i],
+                            &job->tiles[i]));
+    BSQ_PASS(check_tile_paths(job));
     job->report->outside_uv_triangles = job->udim.outside_triangles;
-    BSQ_TRY(report_tiles(job));
-done:
-    return status;
+    return report_tiles(job);
 }
 
 /* Opens the skew maps of all tiles. */
@@ -267,12 +261,10 @@ static int open_skew(struct bake_work *job)
     uint32_t *numbers;
     if (!job->options->skew_path)
         return 0;
-    int status = BSQ_ALLOC(job->ctx, "tiles", count, &numbers);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_ALLOC(job->ctx, "tiles", count, &numbers));
     for (uint32_t i = 0; i < count; ++i)
         numbers[i] = job->udim.tiles[i].number;
-    status = bake_skew_open(job->ctx, job->options->skew_path, numbers, count, &job->skew);
+    int status = bake_skew_open(job->ctx, job->options->skew_path, numbers, count, &job->skew);
     for (uint32_t i = 0; i < count; ++i)
         job->tiles[i].skew = (struct bake_skew_image){job->skew, i};
     bsq_free(job->ctx, numbers);
@@ -282,21 +274,19 @@ static int open_skew(struct bake_work *job)
 /* Notes the files that the options name as inputs, so that no output is written to them. */
 static int note_inputs(struct bsq_ctx *ctx, const struct bake_options *options)
 {
-    int status;
-    BSQ_TRY(bsq_note_input(ctx, options->scan_path, "the scan"));
+    BSQ_PASS(bsq_note_input(ctx, options->scan_path, "the scan"));
     for (uint32_t i = 0; i < options->more_scan_count; i++)
-        BSQ_TRY(bsq_note_input(ctx, options->more_scan_paths[i], "a scan"));
-    BSQ_TRY(bsq_note_input(ctx, options->mesh_path, "the low-poly mesh"));
+        BSQ_PASS(bsq_note_input(ctx, options->more_scan_paths[i], "a scan"));
+    BSQ_PASS(bsq_note_input(ctx, options->mesh_path, "the low-poly mesh"));
     for (uint32_t i = 0; i < options->more_mesh_count; i++)
-        BSQ_TRY(bsq_note_input(ctx, options->more_mesh_paths[i], "a low-poly mesh"));
+        BSQ_PASS(bsq_note_input(ctx, options->more_mesh_paths[i], "a low-poly mesh"));
     if (options->cage_path)
-        BSQ_TRY(bsq_note_input(ctx, options->cage_path, "the cage"));
+        BSQ_PASS(bsq_note_input(ctx, options->cage_path, "the cage"));
     for (uint32_t i = 0; i < options->transfer_count; i++)
         if (options->transfers[i].texture_path)
-            BSQ_TRY(fmt_note_texture(ctx, options->transfers[i].texture_path, "the texture %s",
-                                     options->transfers[i].name));
-done:
-    return status;
+            BSQ_PASS(fmt_note_texture(ctx, options->transfers[i].texture_path, "the texture %s",
+                                      options->transfers[i].name));
+    return 0;
 }
 
 /* ---- scans of objects ---- */
@@ -418,42 +408,37 @@ static int fail_alone(const struct bake_work *job, const bool *sees)
 static int match_objects(struct bake_work *job)
 {
     const uint32_t scans = job->surface.scan_count, objects = job->mesh.objects.count;
-    int status = 0;
-    BSQ_TRY(BSQ_CALLOC(job->ctx, "matches", (uint64_t)objects * scans, &job->sees));
+    BSQ_PASS(BSQ_CALLOC(job->ctx, "matches", (uint64_t)objects * scans, &job->sees));
     for (uint32_t o = 0; o < objects; o++) {
         if (o % 1024 == 0)
-            BSQ_TRY(bsq_check(job->ctx));
+            BSQ_PASS(bsq_check(job->ctx));
         for (uint32_t s = 0; s < scans; s++)
             job->sees[(uint64_t)o * scans + s] =
                 inputs_match(job->options, job->mesh.objects.list[o], scan_name(job, s));
     }
     for (uint32_t s = 0; s < scans; s++) {
-        BSQ_TRY(bsq_check(job->ctx));
+        BSQ_PASS(bsq_check(job->ctx));
         keep_longest(job, s);
     }
-    BSQ_TRY(fail_alone(job, job->sees));
+    BSQ_PASS(fail_alone(job, job->sees));
     job->surface.sees = job->sees;
-done:
-    return status;
+    return 0;
 }
 
 int bake_open_inputs(struct bake_work *job)
 {
-    int status = 0;
-    BSQ_TRY(bake_check_options(job->ctx, job->options));
-    BSQ_TRY(note_inputs(job->ctx, job->options));
-    BSQ_TRY(bake_surface_open(job->ctx, job->options, &job->surface));
-    BSQ_TRY(choose_maps(job));
-    BSQ_TRY(use_attributes(job));
-    BSQ_TRY(bake_lowmesh_load(job->ctx, job->options, &job->mesh));
+    BSQ_PASS(bake_check_options(job->ctx, job->options));
+    BSQ_PASS(note_inputs(job->ctx, job->options));
+    BSQ_PASS(bake_surface_open(job->ctx, job->options, &job->surface));
+    BSQ_PASS(choose_maps(job));
+    BSQ_PASS(use_attributes(job));
+    BSQ_PASS(bake_lowmesh_load(job->ctx, job->options, &job->mesh));
     job->report->low_triangles = job->mesh.triangle_count;
     job->report->low_polygons = job->mesh.polygon_count;
     if (job->options->match_names)
-        BSQ_TRY(match_objects(job));
-    BSQ_TRY(begin_tiles(job));
-    BSQ_TRY(open_skew(job));
-done:
-    return status;
+        BSQ_PASS(match_objects(job));
+    BSQ_PASS(begin_tiles(job));
+    return open_skew(job);
 }
 
 /* ---- parameters ---- */
@@ -463,9 +448,7 @@ int bake_set_params(struct bake_work *job)
     const struct bake_options *options = job->options;
     double front, back;
     bake_surface_set_params(&job->surface, options, job->maps);
-    int status = bake_fit(&job->surface, &job->mesh, options, &front, &back);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bake_fit(&job->surface, &job->mesh, options, &front, &back));
     if (bake_has_cage(options))
         front = job->mesh.cage_distance;
     job->report->front = front;

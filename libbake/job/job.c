@@ -14,26 +14,23 @@
 static int job_trace(struct bake_work *job, double started)
 {
     double area, texels;
-    int status = 0;
-    BSQ_TRY(bake_arrange_triangles(job));
-    BSQ_TRY(bake_rasterise(job));
+    BSQ_PASS(bake_arrange_triangles(job));
+    BSQ_PASS(bake_rasterise(job));
     bake_expect_work(job);
-    BSQ_TRY(bake_open_device(job, job->report->expected_seconds));
+    BSQ_PASS(bake_open_device(job, job->report->expected_seconds));
     bake_udim_areas(job->options, &job->mesh, &job->udim, &area, &texels);
-    BSQ_TRY(bake_seen_create(&job->surface, area, texels, job->device, &job->seen));
+    BSQ_PASS(bake_seen_create(&job->surface, area, texels, job->device, &job->seen));
     double opened = bsq_seconds_now();
     job->report->seconds_open = opened - started;
-    BSQ_TRY(bake_trace_maps(job));
-    BSQ_TRY(bake_check_hits(job));
+    BSQ_PASS(bake_trace_maps(job));
+    BSQ_PASS(bake_check_hits(job));
     bake_seen_report(job->seen, &job->surface, &job->mesh, job->report);
     if (job->maps & BAKE_MAP_CURVATURE)
-        BSQ_TRY(bake_trace_curvature(job));
+        BSQ_PASS(bake_trace_curvature(job));
     job->report->chunk_loads = bake_surface_loads(&job->surface);
     bake_end_tracing(job);
     job->report->seconds_trace = bsq_seconds_now() - opened;
-    status = bake_measure_maps(job);
-done:
-    return status;
+    return bake_measure_maps(job);
 }
 
 static bool in_ranges(const struct bake_options *options, uint32_t tile)
@@ -78,31 +75,29 @@ static int job_run(struct bake_work *job, const struct bake_options *asked)
     const double started = bsq_seconds_now();
     const struct bake_options *options = job->options;
     double area, texels;
-    int status = 0;
     if (asked->part && asked->tile_range_count > 0)
         return bsq_fail(job->ctx, BSQ_EUSAGE, "a part has all tiles: give --tiles to --merge only");
-    BSQ_TRY(bake_open_inputs(job));
+    BSQ_PASS(bake_open_inputs(job));
     if (options->part)
         return bake_run_part(job);
-    BSQ_TRY(skip_tiles(job, asked));
-    BSQ_TRY(bake_check_outputs(job));
-    BSQ_TRY(bake_set_params(job));
-    BSQ_TRY(bake_open_outputs(job));
-    BSQ_TRY(options->parts ? bake_take_parts(job) : job_trace(job, started));
+    BSQ_PASS(skip_tiles(job, asked));
+    BSQ_PASS(bake_check_outputs(job));
+    BSQ_PASS(bake_set_params(job));
+    BSQ_PASS(bake_open_outputs(job));
+    BSQ_PASS(options->parts ? bake_take_parts(job) : job_trace(job, started));
     job->report->texel = bake_udim_areas(options, &job->mesh, &job->udim, &area, &texels);
     job->report->voxel = job->surface.grids ? job->surface.detail : 0;
-    BSQ_TRY(bake_write_maps(job));
-    BSQ_TRY(bake_write_asset(job));
+    BSQ_PASS(bake_write_maps(job));
+    BSQ_PASS(bake_write_asset(job));
     double written = bsq_seconds_now();
-    BSQ_TRY(bake_write_preview(job));
-    BSQ_TRY(bake_surface_check(&job->surface));
+    BSQ_PASS(bake_write_preview(job));
+    BSQ_PASS(bake_surface_check(&job->surface));
     double committing = bsq_seconds_now();
     job->report->seconds_preview = committing - written;
-    BSQ_TRY(bake_commit_outputs(job));
+    BSQ_PASS(bake_commit_outputs(job));
     job->report->seconds_write += bsq_seconds_now() - committing;
     report_written(job);
-done:
-    return status;
+    return 0;
 }
 
 static void end_tile(struct bsq_ctx *ctx, struct bake_tile *tile)
@@ -175,8 +170,8 @@ int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bak
         all.glb_path = NULL;
         all.preview_path = NULL;
     }
-    int status = job_begin(ctx, &all, report, &job);
-    return status < 0 ? status : job_finish(job, job_run(job, options));
+    BSQ_PASS(job_begin(ctx, &all, report, &job));
+    return job_finish(job, job_run(job, options));
 }
 
 void bake_report_free(struct bake_report *report)

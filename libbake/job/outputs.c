@@ -116,11 +116,10 @@ int bake_check_outputs(struct bake_work *job)
     const char *preview = job->options->preview_path, *glb = job->options->glb_path;
     const char *page = job->options->page_path;
     const char *const others[OTHERS] = {preview, glb, page};
-    int status = 0;
     if (glb)
-        BSQ_TRY(check_output(job->ctx, glb, (const char *const[OTHERS]){preview, page}));
+        BSQ_PASS(check_output(job->ctx, glb, (const char *const[OTHERS]){preview, page}));
     if (preview)
-        BSQ_TRY(check_output(job->ctx, preview, (const char *const[OTHERS]){page}));
+        BSQ_PASS(check_output(job->ctx, preview, (const char *const[OTHERS]){page}));
     if (preview && !ends_with(preview, ".png"))
         return bsq_fail(job->ctx, BSQ_EUSAGE,
                         "%s: the picture is a PNG file: its name must end in .png", preview);
@@ -128,9 +127,8 @@ int bake_check_outputs(struct bake_work *job)
         return bsq_fail(job->ctx, BSQ_EUSAGE, "%s: its name must end in .glb", glb);
     for (uint32_t i = 0; i < job->udim.count; ++i)
         if (!job->tiles[i].skipped)
-            BSQ_TRY(check_tile_outputs(job->ctx, &job->tiles[i], others));
-done:
-    return status;
+            BSQ_PASS(check_tile_outputs(job->ctx, &job->tiles[i], others));
+    return 0;
 }
 
 /* All outputs stay open until they get their names together. */
@@ -146,14 +144,12 @@ static int require_descriptors(const struct bake_work *job)
 
 int bake_open_outputs(struct bake_work *job)
 {
-    int status = 0;
     if (job->options->more_scan_count > 0)
-        BSQ_TRY(name_scans(job));
-    BSQ_TRY(require_descriptors(job));
+        BSQ_PASS(name_scans(job));
+    BSQ_PASS(require_descriptors(job));
     if (job->options->glb_path)
-        BSQ_TRY(bake_asset_open(job->ctx, job->options, job->udim.count, &job->asset));
-done:
-    return status;
+        BSQ_PASS(bake_asset_open(job->ctx, job->options, job->udim.count, &job->asset));
+    return 0;
 }
 
 /* Returns the side of thumbnails for the preview, so that those of one map in all tiles take at
@@ -176,12 +172,9 @@ static int create_thumbnail(struct bsq_ctx *ctx, struct bake_tile *tile, enum ba
 
 static int create_thumbnails(struct bsq_ctx *ctx, struct bake_tile *tile, uint32_t side)
 {
-    int status = 0;
-    BSQ_TRY(create_thumbnail(ctx, tile, BAKE_MAP_NORMAL, side, &tile->normal));
-    BSQ_TRY(create_thumbnail(ctx, tile, BAKE_MAP_COLOR, side, &tile->color));
-    BSQ_TRY(bake_thumbnail_of_missed(ctx, tile->image, side, &tile->missed));
-done:
-    return status;
+    BSQ_PASS(create_thumbnail(ctx, tile, BAKE_MAP_NORMAL, side, &tile->normal));
+    BSQ_PASS(create_thumbnail(ctx, tile, BAKE_MAP_COLOR, side, &tile->color));
+    return bake_thumbnail_of_missed(ctx, tile->image, side, &tile->missed);
 }
 
 int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t memory_bytes)
@@ -319,9 +312,7 @@ int bake_write_preview(struct bake_work *job)
         return 0;
     const char *path =
         job->options->preview_path ? job->options->preview_path : job->options->page->path;
-    int status = BSQ_CALLOC(job->ctx, "preview", job->udim.count, &job->preview_tiles);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_CALLOC(job->ctx, "preview", job->udim.count, &job->preview_tiles));
     for (uint32_t i = 0; i < job->udim.count; ++i)
         job->preview_tiles[i] = (struct bake_preview_tile){
             job->udim.tiles[i], &job->tiles[i].normal, &job->tiles[i].color, &job->tiles[i].missed};

@@ -177,21 +177,19 @@ static int write_rows(const struct writing *writing, struct fmt_image_writer *wr
     const struct bake_blocks *blocks = &writing->tile->blocks;
     const struct bake_box *box = &writing->box;
     const uint32_t side = blocks->side, channels = writing->channels->count;
-    int status = 0;
     for (uint32_t y = box->y; y < box->y_end; y++) {
-        BSQ_TRY(bsq_check(writing->job->ctx));
+        BSQ_PASS(bsq_check(writing->job->ctx));
         memset(writing->row, 0, (size_t)(box->x_end - box->x) * channels * sizeof *writing->row);
         for (uint32_t x = box->x; x < box->x_end; x += side) {
             const uint32_t slot = blocks->slots[y / side * blocks->columns + x / side];
             const uint32_t width = box->x_end - x < side ? box->x_end - x : side;
             if (slot != BAKE_NO_SLOT)
-                BSQ_TRY(copy_block_row(writing, slot, y % side, width,
-                                       writing->row + (size_t)(x - box->x) * channels));
+                BSQ_PASS(copy_block_row(writing, slot, y % side, width,
+                                        writing->row + (size_t)(x - box->x) * channels));
         }
-        BSQ_TRY(fmt_image_write_rows(writer, writing->row, 1));
+        BSQ_PASS(fmt_image_write_rows(writer, writing->row, 1));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Writes the file's header and texels. */
@@ -216,8 +214,8 @@ static int write_image(const struct writing *writing, const char *path,
                                               .tile_side = tile->blocks.side,
                                               .attributes = attributes,
                                               .attribute_count = BAKE_PART_TEXTS};
-    int status = fmt_image_create(writing->job->ctx, &fmt_exr_format, path, &options, out);
-    return status < 0 ? status : write_rows(writing, *out);
+    BSQ_PASS(fmt_image_create(writing->job->ctx, &fmt_exr_format, path, &options, out));
+    return write_rows(writing, *out);
 }
 
 int bake_part_write(const struct bake_work *job, const struct bake_channels *channels,
@@ -347,11 +345,11 @@ static int read_block(const struct bake_part *part, uint32_t x, uint32_t y,
     const uint32_t width = box->x_end - x < side ? box->x_end - x : side;
     const uint32_t height = box->y_end - y < side ? box->y_end - y : side;
     const float *texels;
-    int status = fmt_exr_tile_read(part->rows, (x - box->x) / side, (y - box->y) / side, &texels);
-    for (uint32_t i = 0; i < height && status == 0; i++)
-        status = bake_image_write(image, x, y + i, width, 1,
-                                  texels + (size_t)i * side * part->channels->count);
-    return status;
+    BSQ_PASS(fmt_exr_tile_read(part->rows, (x - box->x) / side, (y - box->y) / side, &texels));
+    for (uint32_t i = 0; i < height; i++)
+        BSQ_PASS(bake_image_write(image, x, y + i, width, 1,
+                                  texels + (size_t)i * side * part->channels->count));
+    return 0;
 }
 
 int bake_part_read(const struct bake_part *part, struct bake_image *image)

@@ -63,9 +63,7 @@ static int identify_options(struct bake_work *job)
     size_t count;
     const struct bsq_option *rows = bake_option_rows(&count);
     XXH3_state_t *state;
-    const int status = begin_checksum(job->ctx, &state);
-    if (status < 0)
-        return status;
+    BSQ_PASS(begin_checksum(job->ctx, &state));
     parts_add_options(state, rows, count, job->options);
     end_checksum(state, job->identity.of[BAKE_PART_OPTIONS]);
     return 0;
@@ -77,9 +75,7 @@ static int add_input(struct bsq_ctx *ctx, const struct bsq_noted_input *input, X
 {
     const char *end = strstr(input->role, " that ");
     char hash[FMT_FINGERPRINT_BYTES];
-    const int status = fmt_fingerprint(ctx, input->path, hash);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_fingerprint(ctx, input->path, hash));
     XXH3_128bits_update(state, hash, sizeof hash);
     XXH3_128bits_update(state, input->role,
                         end ? (size_t)(end - input->role) : strlen(input->role));
@@ -128,13 +124,10 @@ done:
 /* Finds out what files of parts must say, and which blocks each part has. */
 static int prepare(struct bake_work *job)
 {
-    int status;
     snprintf(job->identity.of[BAKE_PART_VERSION], BAKE_PART_TEXT, "%s", BSQ_VERSION);
-    BSQ_TRY(identify_options(job));
-    BSQ_TRY(identify_inputs(job));
-    status = bake_divide(job);
-done:
-    return status;
+    BSQ_PASS(identify_options(job));
+    BSQ_PASS(identify_inputs(job));
+    return bake_divide(job);
 }
 
 /* ---- boxes ---- */
@@ -219,16 +212,13 @@ static int check_files(const struct bake_work *job)
 
 static int parts_trace_own(struct bake_work *job)
 {
-    int status;
-    BSQ_TRY(bake_rasterise(job));
-    BSQ_TRY(bake_open_device(job, bake_expect_seconds(job, job->part_texels, job->texels)));
-    BSQ_TRY(bake_trace_maps(job));
+    BSQ_PASS(bake_rasterise(job));
+    BSQ_PASS(bake_open_device(job, bake_expect_seconds(job, job->part_texels, job->texels)));
+    BSQ_PASS(bake_trace_maps(job));
     if (job->maps & BAKE_MAP_CURVATURE)
-        BSQ_TRY(bake_trace_curvature(job));
+        BSQ_PASS(bake_trace_curvature(job));
     bake_end_tracing(job);
-    status = bake_surface_check(&job->surface);
-done:
-    return status;
+    return bake_surface_check(&job->surface);
 }
 
 /* Writes all files of the part, which appear together. */
@@ -396,20 +386,18 @@ static int read_tiles(struct tile_parts *of)
 {
     struct bake_work *job = of->job;
     const uint64_t kept = bsq_memory_left(job->ctx) / 2;
-    int status = 0;
     for (of->tile = 0; of->tile < job->udim.count; of->tile++) {
         of->missing_count = 0;
-        BSQ_TRY(check_tile(of));
+        BSQ_PASS(check_tile(of));
         if (of->missing_count > 0)
             return parts_fail_missing(of);
     }
-    BSQ_TRY(bake_check_hits(job));
+    BSQ_PASS(bake_check_hits(job));
     for (of->tile = 0; of->tile < job->udim.count; of->tile++) {
         const uint64_t left = bsq_memory_left(job->ctx), share = left > kept ? left - kept : 0;
-        BSQ_TRY(read_tile(of, share / (job->udim.count - of->tile)));
+        BSQ_PASS(read_tile(of, share / (job->udim.count - of->tile)));
     }
-done:
-    return status;
+    return 0;
 }
 
 int bake_take_parts(struct bake_work *job)

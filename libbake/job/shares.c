@@ -53,10 +53,9 @@ static int cut_tile(struct bake_work *job, uint32_t side, struct bake_tile *tile
 int bake_cut_blocks(struct bake_work *job)
 {
     const uint32_t side = shares_choose_side(job);
-    int status = 0;
-    for (uint32_t t = 0; t < job->udim.count && status == 0; t++)
-        status = cut_tile(job, side, &job->tiles[t]);
-    return status;
+    for (uint32_t t = 0; t < job->udim.count; t++)
+        BSQ_PASS(cut_tile(job, side, &job->tiles[t]));
+    return 0;
 }
 
 /* ---- the work in each block ---- */
@@ -219,9 +218,7 @@ int bake_take_share(struct bake_work *job, struct bake_tile *tile)
     struct bake_blocks *blocks = &tile->blocks;
     const uint64_t count = (uint64_t)blocks->columns * blocks->rows;
     uint32_t *slots;
-    int status = BSQ_ALLOC(job->ctx, "blocks of a tile", count, &slots);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_ALLOC(job->ctx, "blocks of a tile", count, &slots));
     tile->in_blocks = true;
     blocks->slots = slots;
     for (uint64_t b = 0; b < count; b++)

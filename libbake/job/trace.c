@@ -30,9 +30,7 @@ static int rasterise(const struct bake_work *job, struct bake_tile *tile)
                                                .blocks = tile->in_blocks ? &tile->blocks : NULL,
                                                .skew = tile->skew};
     struct bake_raster_report counts = {0};
-    int status = bake_raster_create(job->ctx, &job->mesh, &raster, &counts, &tile->raster);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bake_raster_create(job->ctx, &job->mesh, &raster, &counts, &tile->raster));
     if (!tile->in_blocks)
         job->report->degenerate_uv_triangles += counts.degenerate_triangles;
     bake_raster_kernel_triangles(tile->raster, job->surface.translation, job->surface.unit,
@@ -42,9 +40,7 @@ static int rasterise(const struct bake_work *job, struct bake_tile *tile)
 
 int bake_arrange_triangles(struct bake_work *job)
 {
-    int status = bake_udim_arrange(job->ctx, job->options, &job->udim, &job->mesh);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bake_udim_arrange(job->ctx, job->options, &job->udim, &job->mesh));
     const struct bake_udim_tile *last = &job->udim.tiles[job->udim.count - 1];
     job->triangle_count = (uint32_t)(last->first + last->count);
     return BSQ_CALLOC(job->ctx, "triangles of the low-poly mesh", job->triangle_count,
@@ -155,9 +151,7 @@ static int trace_tile(const struct bake_work *job, struct bake_tile *tile, uint6
 {
     const bool several = job->surface.scan_count > 1;
     const uint32_t *objects = job->sees && several ? job->mesh.object_of : NULL;
-    int status = bake_tile_create_image(job->ctx, tile, memory_bytes);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bake_tile_create_image(job->ctx, tile, memory_bytes));
     const struct bake_patches patches = {.raster = tile->raster,
                                          .triangles = job->triangles,
                                          .triangle_count = job->triangle_count,
@@ -165,9 +159,9 @@ static int trace_tile(const struct bake_work *job, struct bake_tile *tile, uint6
                                          .image = tile->image,
                                          .patch_side = tile->patch_side,
                                          .seen = job->seen};
-    status = job->device
-                 ? bake_trace_grid_patches(&job->surface, job->device, &patches, job->report)
-                 : bake_trace_ray_patches(&job->surface, &patches, objects, job->report);
+    int status = job->device
+                     ? bake_trace_grid_patches(&job->surface, job->device, &patches, job->report)
+                     : bake_trace_ray_patches(&job->surface, &patches, objects, job->report);
     if (!job->sees || !(tile->maps & BAKE_MAP_CURVATURE)) {
         bake_raster_free(tile->raster);
         tile->raster = NULL;

@@ -212,11 +212,9 @@ int bake_cage_directions(struct bsq_ctx *ctx, const struct bake_options *options
     struct fmt_mesh cage;
     const float least = least_distance(out);
     double longest = 0;
-    int status = fmt_mesh_load(ctx, options->cage_path, false, &cage);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_mesh_load(ctx, options->cage_path, false, &cage));
     bake_transform_mesh(options, &cage);
-    status = check_topology(ctx, path, mesh, options->cage_path, &cage);
+    int status = check_topology(ctx, path, mesh, options->cage_path, &cage);
     memset(out->reaches, 0, mesh->triangle_count * sizeof *out->reaches);
     for (uint64_t t = 0; t < mesh->triangle_count && status == 0; t++)
         for (int i = 0; i < 3; i++) {

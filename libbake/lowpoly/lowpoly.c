@@ -81,9 +81,7 @@ static int replace_array(struct bsq_ctx *ctx, const struct array *array, const u
 {
     char *from = start_of(array), *to;
     const size_t size = array->size;
-    int status = bsq_alloc(ctx, array->what, count, size, &to);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bsq_alloc(ctx, array->what, count, size, &to));
     for (uint64_t i = 0; i < count && order; i++)
         memcpy(to + i * size, from + order[i] * size, size);
     if (!order && kept > 0)
@@ -98,11 +96,10 @@ static int replace_array(struct bsq_ctx *ctx, const struct array *array, const u
 static int lowpoly_allocate(struct bsq_ctx *ctx, uint64_t count, struct bake_lowmesh *out)
 {
     struct array arrays[ARRAYS];
-    int status = 0;
     list_arrays(out, arrays);
-    for (int i = 0; i < ARRAYS - 1 && status == 0; i++)
-        status = replace_array(ctx, &arrays[i], NULL, count, 0, NULL);
-    return status;
+    for (int i = 0; i < ARRAYS - 1; i++)
+        BSQ_PASS(replace_array(ctx, &arrays[i], NULL, count, 0, NULL));
+    return 0;
 }
 
 /* ---- names ---- */
@@ -400,9 +397,7 @@ static int find_firsts(struct bsq_ctx *ctx, const struct fmt_mesh *mesh,
     uint32_t *first_of;
     if (mesh->split_vertices)
         return bake_mikkt_weld(ctx, &input, firsts);
-    int status = BSQ_ALLOC(ctx, "corners of vertices", mesh->vertex_count, &first_of);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_ALLOC(ctx, "corners of vertices", mesh->vertex_count, &first_of));
     memset(first_of, 0xff, mesh->vertex_count * sizeof *first_of);
     for (uint32_t c = 0; c < input.corner_count; c++) {
         uint32_t *first = &first_of[mesh->vertices[c / 3][c % 3]];
@@ -477,13 +472,11 @@ static int compute_frames(struct bsq_ctx *ctx, const struct bake_options *option
                           struct bake_lowmesh *mesh)
 {
     float(*positions)[3][3] = NULL;
-    int status = BSQ_ALLOC(ctx, "tangent positions", mesh->triangle_count, &positions);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_ALLOC(ctx, "tangent positions", mesh->triangle_count, &positions));
     copy_floats(mesh, positions);
-    status = bake_mikkt(ctx, mesh->triangle_count, (const float(*)[3][3])positions,
-                        (const float(*)[3][3])mesh->normals, (const float(*)[3][2])mesh->texcoords,
-                        mesh->tangents);
+    int status = bake_mikkt(ctx, mesh->triangle_count, (const float(*)[3][3])positions,
+                            (const float(*)[3][3])mesh->normals,
+                            (const float(*)[3][2])mesh->texcoords, mesh->tangents);
     if (status == 0 && !options->cage_path)
         status = bake_ray_directions(
             ctx, options->rays, mesh->triangle_count, (const float(*)[3][3])positions,

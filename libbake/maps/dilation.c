@@ -132,17 +132,15 @@ static int load_band(struct bake_dilation *dilation, uint32_t band)
 /* Fills `carried`, from the lowest band to the highest; nothing is above the first. */
 static int find_below(struct bake_dilation *dilation)
 {
-    int status = 0;
     for (uint32_t band = dilation->band_count; band-- > 0;) {
-        BSQ_TRY(bake_image_write(dilation->carried, 0, band, dilation->width, 1,
-                                 dilation->below_buffer));
+        BSQ_PASS(bake_image_write(dilation->carried, 0, band, dilation->width, 1,
+                                  dilation->below_buffer));
         if (band == 0)
             break;
-        BSQ_TRY(load_band(dilation, band));
-        BSQ_TRY(bsq_parallel_for(dilation->ctx, strip_count(dilation), carry_up, dilation));
+        BSQ_PASS(load_band(dilation, band));
+        BSQ_PASS(bsq_parallel_for(dilation->ctx, strip_count(dilation), carry_up, dilation));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* ---- columns ---- */
@@ -314,21 +312,19 @@ void bake_dilation_row(struct bake_dilation *dilation, uint32_t number, unsigned
 int bake_dilation_next_band(struct bake_dilation *dilation, uint32_t *first_row,
                             uint32_t *row_count)
 {
-    int status = 0;
     *row_count = 0;
     if (dilation->band > 0) /* the rows of the previous band are still loaded */
-        BSQ_TRY(bsq_parallel_for(dilation->ctx, strip_count(dilation), carry_down, dilation));
+        BSQ_PASS(bsq_parallel_for(dilation->ctx, strip_count(dilation), carry_down, dilation));
     if (dilation->band == dilation->band_count)
         return 0;
-    BSQ_TRY(load_band(dilation, dilation->band));
-    BSQ_TRY(bake_image_rows(dilation->carried, dilation->band, 1, dilation->below_buffer,
-                            &dilation->below));
-    BSQ_TRY(bsq_parallel_for(dilation->ctx, strip_count(dilation), sweep_strip, dilation));
+    BSQ_PASS(load_band(dilation, dilation->band));
+    BSQ_PASS(bake_image_rows(dilation->carried, dilation->band, 1, dilation->below_buffer,
+                             &dilation->below));
+    BSQ_PASS(bsq_parallel_for(dilation->ctx, strip_count(dilation), sweep_strip, dilation));
     ++dilation->band;
     *first_row = dilation->first_row;
     *row_count = dilation->row_count;
-done:
-    return status;
+    return 0;
 }
 
 uint64_t bake_dilation_row_bytes(const struct bake_image *image)
@@ -350,23 +346,21 @@ static int dilation_allocate(struct bake_dilation *dilation, const char *beside)
                                                .channels = dilation->channels,
                                                .memory_bytes = in_memory ? UINT64_MAX : 0,
                                                .beside = beside};
-    int status;
-    BSQ_TRY(bake_image_create(ctx, &carried, &dilation->carried));
-    BSQ_TRY(bsq_calloc(ctx, "padding", 1, row_bytes, &dilation->below_buffer));
-    BSQ_TRY(bsq_calloc(ctx, "padding", 1, row_bytes, &dilation->above));
+    BSQ_PASS(bake_image_create(ctx, &carried, &dilation->carried));
+    BSQ_PASS(bsq_calloc(ctx, "padding", 1, row_bytes, &dilation->below_buffer));
+    BSQ_PASS(bsq_calloc(ctx, "padding", 1, row_bytes, &dilation->above));
     if (!in_memory)
-        BSQ_TRY(bsq_alloc(ctx, "band of the map", dilation->band_rows, row_bytes,
-                          &dilation->band_buffer));
-    BSQ_TRY(BSQ_ALLOC(ctx, "padding", (uint64_t)dilation->band_rows * width, &dilation->slots));
-    BSQ_TRY(BSQ_CALLOC(ctx, "padding", bsq_threads(ctx), &dilation->scratch));
+        BSQ_PASS(bsq_alloc(ctx, "band of the map", dilation->band_rows, row_bytes,
+                           &dilation->band_buffer));
+    BSQ_PASS(BSQ_ALLOC(ctx, "padding", (uint64_t)dilation->band_rows * width, &dilation->slots));
+    BSQ_PASS(BSQ_CALLOC(ctx, "padding", bsq_threads(ctx), &dilation->scratch));
     for (unsigned w = 0; w < bsq_threads(ctx); ++w) {
         struct scratch *scratch = &dilation->scratch[w];
-        BSQ_TRY(BSQ_ALLOC(ctx, "padding", width, &scratch->site));
-        BSQ_TRY(BSQ_ALLOC(ctx, "padding", width, &scratch->start));
-        BSQ_TRY(BSQ_ALLOC(ctx, "padding", width, &scratch->sources));
+        BSQ_PASS(BSQ_ALLOC(ctx, "padding", width, &scratch->site));
+        BSQ_PASS(BSQ_ALLOC(ctx, "padding", width, &scratch->start));
+        BSQ_PASS(BSQ_ALLOC(ctx, "padding", width, &scratch->sources));
     }
-done:
-    return status;
+    return 0;
 }
 
 int bake_dilation_create(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t band_rows,

@@ -116,15 +116,14 @@ int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options
 {
     const char *path = options->output_path;
     unsigned count = 0;
-    int status;
-    BSQ_TRY(check_tokens(ctx, path));
+    BSQ_PASS(check_tokens(ctx, path));
     for (unsigned i = 0; i < bake_files_end(options, maps); ++i) {
         const struct fmt_image_format *format;
         enum fmt_sample_type type;
         if (!bake_has_file(options, maps, i))
             continue;
         count++;
-        BSQ_TRY(maps_choose_format(ctx, options, i, &format, &type));
+        BSQ_PASS(maps_choose_format(ctx, options, i, &format, &type));
     }
     if (count > 1 && !strstr(path, BAKE_MAP_TOKEN))
         return bsq_fail(ctx, BSQ_EUSAGE,
@@ -134,8 +133,7 @@ int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options
         return bsq_fail(ctx, BSQ_EUSAGE,
                         "a map of %u x %u texels: its sides must be from 1 to %u texels",
                         options->width, options->height, BAKE_MAX_SIDE);
-done:
-    return status;
+    return 0;
 }
 
 /* ---- opening ---- */
@@ -157,9 +155,7 @@ static int maps_open_file(struct bsq_ctx *ctx, const struct bake_options *option
         .attribute_count = attributes.count,
     };
     const struct fmt_image_format *format;
-    int status = maps_choose_format(ctx, options, number, &format, &image.type);
-    if (status < 0)
-        return status;
+    BSQ_PASS(maps_choose_format(ctx, options, number, &format, &image.type));
     file->integers = image.type == FMT_UINT8 || image.type == FMT_UINT16;
     file->half = image.type == FMT_HALF;
     file->path = bake_path_of(options, number);
@@ -176,9 +172,7 @@ static int begin_pack(struct bsq_ctx *ctx, const struct bake_options *options, u
     struct bake_packed packed[BAKE_MAX_PACKED];
     if (file->number < bake_selection_end(maps))
         return 0;
-    int status = BSQ_CALLOC(ctx, "packed maps", BAKE_MAX_PACKED, &file->components);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_CALLOC(ctx, "packed maps", BAKE_MAX_PACKED, &file->components));
     const unsigned number = file->number - bake_selection_end(maps);
     file->component_count = bake_unpack(options, &options->packs[number], packed);
     file->encoder.row = bake_row_of(options, file->number);
@@ -416,41 +410,37 @@ static int write_bands(struct bake_map_files *files, const struct bake_image *im
     const uint32_t band_rows = choose_band_rows(files, image);
     uint32_t first_row, rows;
     double start = bsq_seconds_now();
-    int status;
     for (uint32_t i = 0; i < files->count; ++i)
-        BSQ_TRY(bsq_alloc(files->ctx, "rows of a map", band_rows,
-                          maps_row_samples(files, i) * sizeof(float), &files->files[i].rows));
-    BSQ_TRY(bake_dilation_create(files->ctx, image, band_rows, files->options->padding,
-                                 files->beside, &files->dilation));
+        BSQ_PASS(bsq_alloc(files->ctx, "rows of a map", band_rows,
+                           maps_row_samples(files, i) * sizeof(float), &files->files[i].rows));
+    BSQ_PASS(bake_dilation_create(files->ctx, image, band_rows, files->options->padding,
+                                  files->beside, &files->dilation));
     for (;;) {
-        BSQ_TRY(bake_dilation_next_band(files->dilation, &first_row, &rows));
+        BSQ_PASS(bake_dilation_next_band(files->dilation, &first_row, &rows));
         if (rows == 0)
             break;
         end_phase(&start, &report->seconds_padding);
-        BSQ_TRY(bsq_parallel_for(files->ctx, rows, encode_row, files));
+        BSQ_PASS(bsq_parallel_for(files->ctx, rows, encode_row, files));
         end_phase(&start, &report->seconds_resolve);
-        BSQ_TRY(maps_write_band(files, first_row, rows));
+        BSQ_PASS(maps_write_band(files, first_row, rows));
         end_phase(&start, &report->seconds_write);
         bsq_progress_add(files->ctx, rows);
     }
     for (uint32_t i = 0; i < files->count; ++i)
         if (files->files[i].writer)
-            BSQ_TRY(fmt_image_finish(files->files[i].writer));
+            BSQ_PASS(fmt_image_finish(files->files[i].writer));
     end_phase(&start, &report->seconds_write);
-done:
-    return status;
+    return 0;
 }
 
 int bake_map_files_write(struct bake_map_files *files, const struct bake_image *image,
                          const struct bake_measures *measures, uint64_t *limited,
                          struct bake_report *report)
 {
-    int status = choose_encodings(files, measures, report);
-    if (status < 0)
-        return status;
+    BSQ_PASS(choose_encodings(files, measures, report));
     files->image_channels = image->channels;
     bsq_progress_begin(files->ctx, "writing", "rows", files->options->height);
-    status = write_bands(files, image, report);
+    int status = write_bands(files, image, report);
     bsq_progress_end(files->ctx);
     bake_dilation_free(files->dilation);
     files->dilation = NULL;

@@ -21,8 +21,8 @@ static int map_image_allocate(struct bake_image *image, const struct bake_image_
                         options->height);
     if (bytes <= options->memory_bytes)
         return bsq_calloc(ctx, "map", texels, image->texel_bytes, &image->samples);
-    int status = bsq_require_disk(ctx, options->beside, bytes);
-    return status < 0 ? status : bsq_file_temp(ctx, options->beside, "map", &image->file);
+    BSQ_PASS(bsq_require_disk(ctx, options->beside, bytes));
+    return bsq_file_temp(ctx, options->beside, "map", &image->file);
 }
 
 int bake_image_create(struct bsq_ctx *ctx, const struct bake_image_options *options,
@@ -30,9 +30,7 @@ int bake_image_create(struct bsq_ctx *ctx, const struct bake_image_options *opti
 {
     *out = NULL;
     struct bake_image *image;
-    int status = BSQ_CALLOC(ctx, "map", 1, &image);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_CALLOC(ctx, "map", 1, &image));
     image->ctx = ctx;
     image->width = options->width;
     image->height = options->height;
@@ -40,7 +38,7 @@ int bake_image_create(struct bsq_ctx *ctx, const struct bake_image_options *opti
     image->blocks = options->blocks;
     image->texel_bytes = options->channels * sizeof(float);
     image->file = (struct bsq_file)BSQ_FILE_CLOSED;
-    status = map_image_allocate(image, options);
+    int status = map_image_allocate(image, options);
     if (status < 0)
         bake_image_free(image);
     else
@@ -75,10 +73,8 @@ int bake_image_write(struct bake_image *image, uint32_t x, uint32_t y, uint32_t 
         if (image->samples) {
             memcpy(image->samples + texel * image->channels, run, run_bytes);
         } else {
-            int status = bsq_file_write(image->ctx, &image->file, run, run_bytes,
-                                        texel * image->texel_bytes);
-            if (status < 0)
-                return status;
+            BSQ_PASS(bsq_file_write(image->ctx, &image->file, run, run_bytes,
+                                    texel * image->texel_bytes));
         }
     }
     return 0;
@@ -102,10 +98,8 @@ int bake_image_rows(const struct bake_image *image, uint32_t y, uint32_t count, 
         return 0;
     }
     uint64_t size = (uint64_t)count * image->width * image->texel_bytes, got;
-    int status = bsq_file_read_some(image->ctx, &image->file, buffer, size,
-                                    texel * image->texel_bytes, &got);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bsq_file_read_some(image->ctx, &image->file, buffer, size, texel * image->texel_bytes,
+                                &got));
     memset((char *)buffer + got, 0, size - got); /* the file ends after the last texel written */
     *rows = buffer;
     return 0;

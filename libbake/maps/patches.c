@@ -42,24 +42,22 @@ int bake_patch_workers_begin(struct bsq_ctx *ctx, const struct bake_patches *pat
 {
     const uint64_t texels = (uint64_t)patches->patch_side * patches->patch_side;
     const uint32_t maps = patches->params->maps;
-    int status;
     *out = (struct bake_patch_workers){.channels = bake_image_channels_for(maps),
                                        .texel_floats = bk_texel_floats(maps),
                                        .maps = maps};
     bsq_progress_begin(ctx, "tracing", "texels", map_patches_count_texels(patches->raster));
-    BSQ_TRY(BSQ_CALLOC(ctx, "workers", bsq_threads(ctx), &out->workers));
+    BSQ_PASS(BSQ_CALLOC(ctx, "workers", bsq_threads(ctx), &out->workers));
     for (unsigned w = 0; w < bsq_threads(ctx); w++) {
         struct bake_patch_worker *worker = &out->workers[w];
-        BSQ_TRY(bsq_alloc(ctx, "samples of a patch",
-                          texels * bake_raster_texel_entries(patches->params), sizeof(uint32_t),
-                          &worker->sample_triangles));
-        BSQ_TRY(bsq_alloc(ctx, "texels of a patch", texel_count, out->texel_floats * sizeof(float),
-                          &worker->texels));
-        BSQ_TRY(bsq_alloc(ctx, "texels of a patch", texels, out->channels * sizeof(float),
-                          &worker->resolved));
+        BSQ_PASS(bsq_alloc(ctx, "samples of a patch",
+                           texels * bake_raster_texel_entries(patches->params), sizeof(uint32_t),
+                           &worker->sample_triangles));
+        BSQ_PASS(bsq_alloc(ctx, "texels of a patch", texel_count, out->texel_floats * sizeof(float),
+                           &worker->texels));
+        BSQ_PASS(bsq_alloc(ctx, "texels of a patch", texels, out->channels * sizeof(float),
+                           &worker->resolved));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Writes a texel of the image: its share of hits and the values of the selected maps. */

@@ -101,8 +101,8 @@ int bake_thumbnail_of_missed(struct bsq_ctx *ctx, struct bake_image *image, uint
 {
     struct addition addition = {
         .ctx = ctx, .thumbnail = out, .missed = true, .channels = image->channels};
-    int status = bake_thumbnail_create(ctx, image->width, image->height, side, out);
-    return status < 0 ? status : bake_image_bands(ctx, image, 256, false, add_rows, &addition);
+    BSQ_PASS(bake_thumbnail_create(ctx, image->width, image->height, side, out));
+    return bake_image_bands(ctx, image, 256, false, add_rows, &addition);
 }
 
 /* ---- sampling ---- */

@@ -334,14 +334,14 @@ int bake_check_tile_numbers(struct bsq_ctx *ctx, const struct bake_options *opti
 
 int bake_check_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps)
 {
-    int status = bake_map_files_check(ctx, options, maps);
-    for (uint32_t i = 0; i < options->tile_size_count && status == 0; ++i) {
+    BSQ_PASS(bake_map_files_check(ctx, options, maps));
+    for (uint32_t i = 0; i < options->tile_size_count; ++i) {
         struct bake_options tile = *options;
         tile.width = options->tile_sizes[i].width;
         tile.height = options->tile_sizes[i].height;
-        status = bake_map_files_check(ctx, &tile, maps);
+        BSQ_PASS(bake_map_files_check(ctx, &tile, maps));
     }
-    return status;
+    return 0;
 }
 
 /* Checks the transfer maps that the mask is multiplied by. */
@@ -406,7 +406,6 @@ static int check_packed(struct bsq_ctx *ctx, const struct bake_options *options,
 
 static int check_packs(struct bsq_ctx *ctx, const struct bake_options *options)
 {
-    int status = 0;
     for (uint32_t p = 0; p < options->pack_count; p++) {
         const struct bake_pack *pack = &options->packs[p];
         struct bake_packed packed[BAKE_MAX_PACKED];
@@ -421,17 +420,14 @@ static int check_packs(struct bsq_ctx *ctx, const struct bake_options *options)
                             "--pack %s=%s: must be a name that no map has, and up to %d maps",
                             pack->name, pack->maps, BAKE_MAX_PACKED);
         for (unsigned i = 0; i < count; i++)
-            BSQ_TRY(check_packed(ctx, options, pack, &packed[i]));
+            BSQ_PASS(check_packed(ctx, options, pack, &packed[i]));
     }
-done:
-    return status;
+    return 0;
 }
 
 int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
 {
-    int status = bsq_check_size(ctx, "bake_options", options->size, sizeof *options);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bsq_check_size(ctx, "bake_options", options->size, sizeof *options));
     if (!options->scan_path || !options->mesh_path || !options->output_path)
         return bsq_fail(ctx, BSQ_EUSAGE, "a scan, a low-poly mesh and an output are needed");
     if (options->cage_path && options->more_mesh_count > 0)
@@ -457,15 +453,13 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
                         options->skew_path);
     if (options->normal_space == BAKE_OBJECT_SPACE && options->green_down)
         return bsq_fail(ctx, BSQ_EUSAGE, "an object-space map has no green direction to flip");
-    BSQ_TRY(bsq_options_check(ctx, table, ROWS, options));
-    BSQ_TRY(bake_check_tile_numbers(ctx, options));
-    BSQ_TRY(check_transfers(ctx, options));
-    BSQ_TRY(check_packs(ctx, options));
+    BSQ_PASS(bsq_options_check(ctx, table, ROWS, options));
+    BSQ_PASS(bake_check_tile_numbers(ctx, options));
+    BSQ_PASS(check_transfers(ctx, options));
+    BSQ_PASS(check_packs(ctx, options));
     /* The default maps depend on the scan; they are checked again after it was opened. */
     struct bake_options chosen = *options;
     if (options->transfer_count == 0 || options->maps != BAKE_MAPS_DEFAULT)
         chosen.maps = bake_choose_maps(options->maps, false, false);
-    status = bake_check_maps(ctx, options, bake_selection(&chosen));
-done:
-    return status;
+    return bake_check_maps(ctx, options, bake_selection(&chosen));
 }

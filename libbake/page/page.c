@@ -82,12 +82,11 @@ static int put_base64(struct bake_page *page, const struct bsq_file *file)
     static const char digits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     unsigned char in[3 * 4096];
     char out[sizeof in / 3 * 4];
-    int status = 0;
     for (uint64_t at = 0; at < file->size; at += sizeof in) {
         const uint64_t left = file->size - at, size = left < sizeof in ? left : sizeof in;
         const uint64_t digit_count = (size + 2) / 3 * 4;
         memset(in, 0, sizeof in);
-        BSQ_TRY(bsq_file_read(page->ctx, file, in, size, at));
+        BSQ_PASS(bsq_file_read(page->ctx, file, in, size, at));
         for (uint64_t i = 0; i < digit_count; i++) {
             const unsigned char *group = in + i / 4 * 3;
             const unsigned bits = (unsigned)group[0] << 16 | (unsigned)group[1] << 8 | group[2];
@@ -95,10 +94,9 @@ static int put_base64(struct bake_page *page, const struct bsq_file *file)
             if (i > 4 * size / 3)
                 out[i] = '=';
         }
-        BSQ_TRY(bsq_output_write(page->output, out, digit_count));
+        BSQ_PASS(bsq_output_write(page->output, out, digit_count));
     }
-done:
-    return status;
+    return 0;
 }
 
 int bake_page_add(struct bake_page *page, json_t *head, struct bsq_output *output)
@@ -240,17 +238,14 @@ done:
 int bake_page_finish(struct bake_page *page, const char *json)
 {
     char script[PATH_MAX];
-    int status;
-    BSQ_TRY(page_put(page, "<script type=\"application/json\" id=\"data\">"));
-    BSQ_TRY(put_json(page, json));
-    BSQ_TRY(page_put(page, "</script>\n"));
-    BSQ_TRY(fmt_program_find(page->ctx, "../../share/bisque/report.js", "reports", script));
-    BSQ_TRY(put_file(page, "<script>\n", script, "</script>\n"));
+    BSQ_PASS(page_put(page, "<script type=\"application/json\" id=\"data\">"));
+    BSQ_PASS(put_json(page, json));
+    BSQ_PASS(page_put(page, "</script>\n"));
+    BSQ_PASS(fmt_program_find(page->ctx, "../../share/bisque/report.js", "reports", script));
+    BSQ_PASS(put_file(page, "<script>\n", script, "</script>\n"));
     struct bsq_output *output = page->output;
     page->output = NULL;
-    status = bsq_output_commit(output);
-done:
-    return status;
+    return bsq_output_commit(output);
 }
 
 void bake_page_close(struct bake_page *page)

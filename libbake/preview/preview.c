@@ -186,12 +186,9 @@ static int render_strip(struct strip *strip)
                   .t_max = strip->view->scan_span,
                   .facing_origin = true},
         .best = true}; /* the reference is as accurate as possible */
-    int status = 0;
-    BSQ_TRY(bsq_parallel_for(ctx, strip->view->samples / COLUMN, cast_column, strip));
-    BSQ_TRY(bake_surface_trace(strip->preview->surface, &rays));
-    BSQ_TRY(bsq_parallel_for(ctx, strip->rows, shade_row, strip));
-done:
-    return status;
+    BSQ_PASS(bsq_parallel_for(ctx, strip->view->samples / COLUMN, cast_column, strip));
+    BSQ_PASS(bake_surface_trace(strip->preview->surface, &rays));
+    return bsq_parallel_for(ctx, strip->rows, shade_row, strip);
 }
 
 /* Renders the scan's panel on all threads: view->side rows of RGB, `stride` floats apart. */
@@ -224,16 +221,14 @@ static int preview_allocate(struct rendering *r)
 {
     struct bsq_ctx *ctx = r->ctx;
     const uint64_t samples = (uint64_t)PREVIEW_BAND * PREVIEW_GRID * r->side * PREVIEW_GRID;
-    int status = 0;
-    BSQ_TRY(
+    BSQ_PASS(
         bsq_calloc(ctx, "preview", (uint64_t)r->width * r->side, 3 * sizeof(float), &r->pixels));
-    BSQ_TRY(BSQ_CALLOC(ctx, "preview", bsq_threads(ctx), &r->bands));
+    BSQ_PASS(BSQ_CALLOC(ctx, "preview", bsq_threads(ctx), &r->bands));
     for (unsigned w = 0; w < bsq_threads(ctx); ++w) {
-        BSQ_TRY(bsq_alloc(ctx, "preview", samples, sizeof(float), &r->bands[w].depth));
-        BSQ_TRY(bsq_alloc(ctx, "preview", samples, sizeof(uint32_t), &r->bands[w].triangle));
+        BSQ_PASS(bsq_alloc(ctx, "preview", samples, sizeof(float), &r->bands[w].depth));
+        BSQ_PASS(bsq_alloc(ctx, "preview", samples, sizeof(uint32_t), &r->bands[w].triangle));
     }
-done:
-    return status;
+    return 0;
 }
 
 static void preview_release(struct rendering *r)
@@ -247,13 +242,10 @@ static void preview_release(struct rendering *r)
 /* Renders the panels of r->view. */
 static int render_view(struct rendering *r)
 {
-    int status = 0;
-    BSQ_TRY(bsq_parallel_for(r->ctx, r->side / PREVIEW_BAND, render_band, r));
-    BSQ_TRY(render_scan_panel(r->preview, &r->view,
-                              r->pixels + (size_t)PANEL_SCAN * (r->side + SEPARATOR) * 3,
-                              (size_t)r->width * 3));
-done:
-    return status;
+    BSQ_PASS(bsq_parallel_for(r->ctx, r->side / PREVIEW_BAND, render_band, r));
+    return render_scan_panel(r->preview, &r->view,
+                             r->pixels + (size_t)PANEL_SCAN * (r->side + SEPARATOR) * 3,
+                             (size_t)r->width * 3);
 }
 
 /* ---- the most telling view ---- */

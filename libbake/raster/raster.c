@@ -288,14 +288,13 @@ static uint64_t triangles_end(const struct bake_raster *raster)
 static int sort_triangles(struct bake_raster *raster, uint64_t *cursors)
 {
     struct raster_window patches;
-    int status = 0;
     for (uint64_t t = raster->options.first; t < triangles_end(raster); t++) {
         if (t % TRIANGLES_A_CHECK == 0)
-            BSQ_TRY(bsq_check(raster->ctx));
+            BSQ_PASS(bsq_check(raster->ctx));
         if (!overlapped_patches(raster, t, &patches))
             continue;
         for (uint32_t y = patches.begin_y; y < patches.end_y; y++) {
-            BSQ_TRY(bsq_check(raster->ctx)); /* first entries touch all memory of the lists */
+            BSQ_PASS(bsq_check(raster->ctx)); /* first entries touch all memory of the lists */
             for (uint32_t x = patches.begin_x; x < patches.end_x; x++) {
                 if (!is_selected(raster, x, y))
                     continue;
@@ -305,8 +304,7 @@ static int sort_triangles(struct bake_raster *raster, uint64_t *cursors)
             }
         }
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Fails because triangles cover so much of the map that their lists do not fit. */
@@ -328,11 +326,10 @@ static int number_patches(struct bake_raster *raster, uint64_t *counts)
     const uint64_t places = (uint64_t)raster->patch_columns * raster->patch_rows;
     uint64_t sum = 0;
     uint32_t patch = 0;
-    int status;
     for (uint64_t p = 0; p < places; p++)
         raster->patch_count += counts[p] > 0;
-    BSQ_TRY(BSQ_ALLOC(raster->ctx, "patch numbers", raster->patch_count, &raster->patch_numbers));
-    BSQ_TRY(
+    BSQ_PASS(BSQ_ALLOC(raster->ctx, "patch numbers", raster->patch_count, &raster->patch_numbers));
+    BSQ_PASS(
         BSQ_ALLOC(raster->ctx, "patch lists", (uint64_t)raster->patch_count + 1, &raster->starts));
     for (uint64_t p = 0; p < places; p++) {
         uint64_t count = counts[p];
@@ -345,10 +342,8 @@ static int number_patches(struct bake_raster *raster, uint64_t *counts)
     }
     raster->starts[patch] = sum;
     if (sum > bsq_memory_left(raster->ctx) / sizeof *raster->triangles)
-        BSQ_TRY(fail_lists(raster, sum));
-    status = BSQ_ALLOC(raster->ctx, "patch lists", sum, &raster->triangles);
-done:
-    return status;
+        BSQ_PASS(fail_lists(raster, sum));
+    return BSQ_ALLOC(raster->ctx, "patch lists", sum, &raster->triangles);
 }
 
 static int sort_into_patches(struct bake_raster *raster)
@@ -494,11 +489,10 @@ static int paint_patch(const struct bake_raster *raster, uint32_t index, uint32_
     struct raster_spans spans;
     uint64_t free = stride * (window.end_y - window.begin_y);
     uint32_t row, begin, end;
-    int status = 0;
     *overlap = false;
     for (uint64_t k = raster->starts[index];
          k < raster->starts[index + 1] && !(free == 0 && *overlap); k++) {
-        BSQ_TRY(bsq_check(raster->ctx));
+        BSQ_PASS(bsq_check(raster->ctx));
         if (!bake_raster_snap(raster, raster->triangles[k], &snapped))
             continue;
         spans_begin(&raster->grid, &snapped, window, &spans);
@@ -509,8 +503,7 @@ static int paint_patch(const struct bake_raster *raster, uint32_t index, uint32_
             *overlap |= taken > 0;
         }
     }
-done:
-    return status;
+    return 0;
 }
 
 /* ---- overlaps ---- */
@@ -544,9 +537,8 @@ static int count_overlaps_in(const struct bake_raster *raster, uint32_t index,
     struct raster_triangle snapped;
     struct raster_spans spans;
     uint32_t row, begin, end;
-    int status = 0;
     for (uint64_t k = raster->starts[index]; k < raster->starts[index + 1] && unmarked > 0; k++) {
-        BSQ_TRY(bsq_check(raster->ctx));
+        BSQ_PASS(bsq_check(raster->ctx));
         if (!bake_raster_snap(raster, raster->triangles[k], &snapped))
             continue;
         spans_begin(&raster->grid, &snapped, window, &spans);
@@ -559,15 +551,13 @@ static int count_overlaps_in(const struct bake_raster *raster, uint32_t index,
             *count += added;
         }
     }
-done:
-    return status;
+    return 0;
 }
 
 static int count_overlaps(const struct bake_raster *raster, uint32_t index, const uint32_t *samples,
                           uint64_t *count)
 {
     const struct raster_window patch = patch_window(raster, index);
-    int status = 0;
     for (uint32_t y = patch.begin_y; y < patch.end_y; y += MARK_SIDE)
         for (uint32_t x = patch.begin_x; x < patch.end_x; x += MARK_SIDE) {
             struct raster_window window = {x, y, patch.end_x, patch.end_y};
@@ -575,10 +565,9 @@ static int count_overlaps(const struct bake_raster *raster, uint32_t index, cons
                 window.end_x = x + MARK_SIDE;
             if (patch.end_y - y > MARK_SIDE)
                 window.end_y = y + MARK_SIDE;
-            BSQ_TRY(count_overlaps_in(raster, index, samples, window, count));
+            BSQ_PASS(count_overlaps_in(raster, index, samples, window, count));
         }
-done:
-    return status;
+    return 0;
 }
 
 /* ---- skews ---- */

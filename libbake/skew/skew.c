@@ -15,14 +15,13 @@ enum { LEAST_CACHE = 12 << 20, MOST_CACHE = 256 << 20 };
 static int name_images(struct bsq_ctx *ctx, const char *path, const uint32_t *tiles, uint32_t count,
                        struct fmt_texture_source *sources)
 {
-    int status = 0;
-    for (uint32_t i = 0; i < count && status == 0; i++) {
+    for (uint32_t i = 0; i < count; i++) {
         sources[i] =
             (struct fmt_texture_source){.path = bake_tile_path(path, tiles[i]), .data = true};
-        status = sources[i].path ? bsq_note_input(ctx, sources[i].path, "the skew map")
-                                 : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", path);
+        BSQ_PASS(sources[i].path ? bsq_note_input(ctx, sources[i].path, "the skew map")
+                                 : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", path));
     }
-    return status;
+    return 0;
 }
 
 int bake_skew_open(struct bsq_ctx *ctx, const char *path, const uint32_t *tiles, uint32_t count,
@@ -31,11 +30,9 @@ int bake_skew_open(struct bsq_ctx *ctx, const char *path, const uint32_t *tiles,
     struct fmt_texture_source *sources;
     uint64_t cache = bsq_memory_share(ctx, "skew map", 16);
     *out = NULL;
-    int status = BSQ_CALLOC(ctx, "skew map", count, &sources);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_CALLOC(ctx, "skew map", count, &sources));
     cache = cache < LEAST_CACHE ? LEAST_CACHE : cache > MOST_CACHE ? MOST_CACHE : cache;
-    status = name_images(ctx, path, tiles, count, sources);
+    int status = name_images(ctx, path, tiles, count, sources);
     if (status == 0)
         status = fmt_textures_open(ctx, sources, count, cache, out);
     if (status == 0)

@@ -24,20 +24,17 @@ static int grid_trace_patch(void *arg, uint64_t index, unsigned number)
     const struct bk_patch patch = bake_raster_patch(patches->raster, (uint32_t)index);
     const uint32_t count = patch.width * patch.height;
     uint64_t overlaps = 0;
-    int status;
-    BSQ_TRY(
+    BSQ_PASS(
         bake_raster_fill(patches->raster, (uint32_t)index, worker->sample_triangles, &overlaps));
     worker->overlaps += overlaps;
     if (patches->seen)
         bake_seen_mark_patch(trace->surface, patches, &patch, worker->sample_triangles);
-    BSQ_TRY(
+    BSQ_PASS(
         bake_device_trace(trace->device, &patch, worker->sample_triangles, worker->texels, number));
-    BSQ_TRY(bake_surface_check(trace->surface));
+    BSQ_PASS(bake_surface_check(trace->surface));
     bake_patch_worker_resolve(&trace->workers, worker, count, worker->resolved);
     bsq_progress_add(trace->ctx, count);
-    status = bake_image_write_patch(patches->image, &patch, worker->resolved);
-done:
-    return status;
+    return bake_image_write_patch(patches->image, &patch, worker->resolved);
 }
 
 int bake_trace_grid_patches(const struct bake_surface *surface, struct bake_device *device,

@@ -548,24 +548,21 @@ static int run_batch(struct job *job)
     const uint64_t first_texels = texels / sample_cost(job->patches->params);
     const uint32_t idle = patches_gather(job, 0, job->waiting, end);
     struct bake_surface_rays rays = rays_of(job, idle);
-    int status = 0;
     rays.batch.progress = first_texels;
     rays.batch.first_chunk = job->seated[job->waiting].first;
     rays.batch.end_chunk = end;
-    BSQ_TRY(bsq_parallel_for(job->ctx, job->taken - job->waiting, cast_patch, job));
-    BSQ_TRY(bake_surface_trace(surface, &rays));
-    BSQ_TRY(bake_surface_check(surface));
+    BSQ_PASS(bsq_parallel_for(job->ctx, job->taken - job->waiting, cast_patch, job));
+    BSQ_PASS(bake_surface_trace(surface, &rays));
+    BSQ_PASS(bake_surface_check(surface));
     keep_waiting(job, idle, end);
     rays = rays_of(job, job->waiting);
     if (job->patches->seen)
-        BSQ_TRY(bake_seen_mark_hits(surface, job->patches->seen, &rays.batch));
+        BSQ_PASS(bake_seen_mark_hits(surface, job->patches->seen, &rays.batch));
     if (job->look && rays.batch.count > 0)
-        BSQ_TRY(look_around(job, &rays, texels - first_texels));
+        BSQ_PASS(look_around(job, &rays, texels - first_texels));
     if (job->next_hits)
-        BSQ_TRY(look_beside(job, &rays));
-    BSQ_TRY(bsq_parallel_for(job->ctx, job->taken - job->waiting, resolve_patch, job));
-done:
-    return status;
+        BSQ_PASS(look_beside(job, &rays));
+    return bsq_parallel_for(job->ctx, job->taken - job->waiting, resolve_patch, job);
 }
 
 static int run_batches(struct job *job)
@@ -581,19 +578,17 @@ static int run_batches(struct job *job)
 static int allocate_patches(struct job *job)
 {
     bool wanted = false;
-    int status = 0;
     job->patch_count = bake_raster_patch_count(job->patches->raster);
-    BSQ_TRY(BSQ_ALLOC(job->ctx, "patches", job->patch_count, &job->order));
+    BSQ_PASS(BSQ_ALLOC(job->ctx, "patches", job->patch_count, &job->order));
     for (uint32_t s = 0; s < job->surface->scan_count; s++)
         wanted |= job->surface->scans[s].exact &&
                   bake_exact_wants_footprints(job->surface->scans[s].exact);
     if (wanted) {
-        BSQ_TRY(
+        BSQ_PASS(
             BSQ_ALLOC(job->ctx, "footprints", job->patches->triangle_count, &job->footprint_table));
         measure_footprints(job);
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Returns whether batches can be parts of a sweep: only through one order of chunks. Rays that
@@ -615,7 +610,6 @@ static int allocate_rays(struct job *job)
         job->patches->params->maps & BAKE_MAP_CONFIDENCE ? sizeof *job->next_hits : 0;
     const uint64_t channels = transfer_floats(job) * sizeof *job->channels;
     struct bsq_ctx *ctx = job->ctx;
-    int status = 0;
     uint64_t seats =
         bake_surface_capacity(job->surface, look + object + next + sizeof *job->reaches) /
         job->seat_rays;
@@ -624,25 +618,24 @@ static int allocate_rays(struct job *job)
     job->seat_count = seats < job->patch_count ? (uint32_t)seats : job->patch_count;
     const uint64_t n = job->seat_count * job->seat_rays;
     if (sweeps)
-        BSQ_TRY(bake_exact_sweep_create(job->surface->scans->exact, n, &job->sweep));
-    BSQ_TRY(BSQ_ALLOC(ctx, "patches", job->seat_count, &job->seated));
-    BSQ_TRY(BSQ_ALLOC(ctx, "rays", n, &job->rays));
-    BSQ_TRY(BSQ_ALLOC(ctx, "hits", n, &job->hits));
-    BSQ_TRY(BSQ_ALLOC(ctx, "rays", n, &job->reaches));
+        BSQ_PASS(bake_exact_sweep_create(job->surface->scans->exact, n, &job->sweep));
+    BSQ_PASS(BSQ_ALLOC(ctx, "patches", job->seat_count, &job->seated));
+    BSQ_PASS(BSQ_ALLOC(ctx, "rays", n, &job->rays));
+    BSQ_PASS(BSQ_ALLOC(ctx, "hits", n, &job->hits));
+    BSQ_PASS(BSQ_ALLOC(ctx, "rays", n, &job->reaches));
     if (job->look) {
-        BSQ_TRY(BSQ_ALLOC(ctx, "secondary rays", n, &job->shares));
-        BSQ_TRY(BSQ_ALLOC(ctx, "secondary rays", n, &job->surroundings));
+        BSQ_PASS(BSQ_ALLOC(ctx, "secondary rays", n, &job->shares));
+        BSQ_PASS(BSQ_ALLOC(ctx, "secondary rays", n, &job->surroundings));
     }
     if (next > 0)
-        BSQ_TRY(bsq_alloc(ctx, "hits", n, next, &job->next_hits));
+        BSQ_PASS(bsq_alloc(ctx, "hits", n, next, &job->next_hits));
     if (job->footprint_table)
-        BSQ_TRY(BSQ_ALLOC(ctx, "footprints", n, &job->footprints));
+        BSQ_PASS(BSQ_ALLOC(ctx, "footprints", n, &job->footprints));
     if (object > 0)
-        BSQ_TRY(bsq_alloc(ctx, "objects of rays", n, object, &job->objects));
+        BSQ_PASS(bsq_alloc(ctx, "objects of rays", n, object, &job->objects));
     if (channels > 0)
-        BSQ_TRY(bsq_alloc(ctx, "channels of hits", n, channels, &job->channels));
-done:
-    return status;
+        BSQ_PASS(bsq_alloc(ctx, "channels of hits", n, channels, &job->channels));
+    return 0;
 }
 
 static void patches_release(struct job *job, struct bake_report *report)

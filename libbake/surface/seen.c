@@ -349,23 +349,21 @@ int bake_seen_create(struct bake_surface *surface, double area, double texels, b
 {
     struct bsq_ctx *ctx = surface->ctx;
     struct bake_seen *seen;
-    int status = 0;
     *out = NULL;
     if (!(area > 0 && texels > 0))
         return 0;
-    BSQ_TRY(BSQ_CALLOC(ctx, "cells of the scan", 1, &seen));
+    BSQ_PASS(BSQ_CALLOC(ctx, "cells of the scan", 1, &seen));
     *out = seen;
     seen->ctx = ctx;
     choose_cells(surface, area, texels, device, seen);
     seen->words_log2 = LEAST_WORDS_LOG2;
     while (ldexp(1, (int)seen->words_log2) < WORDS_A_CELL * area / (seen->side * seen->side))
         seen->words_log2++;
-    BSQ_TRY(BSQ_CALLOC(ctx, "cells of the scan", UINT64_C(1) << seen->words_log2, &seen->words));
+    BSQ_PASS(BSQ_CALLOC(ctx, "cells of the scan", UINT64_C(1) << seen->words_log2, &seen->words));
     for (uint32_t s = 0; s < surface->scan_count; s++)
         if (surface->scans[s].exact)
-            BSQ_TRY(bake_exact_note_areas(surface->scans[s].exact));
-done:
-    return status;
+            BSQ_PASS(bake_exact_note_areas(surface->scans[s].exact));
+    return 0;
 }
 
 void bake_seen_free(struct bake_seen *seen)

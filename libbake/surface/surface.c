@@ -26,10 +26,8 @@ static int open_grid(struct bake_scan *scan, const struct bake_options *options)
         return bsq_fail(scan->ctx, BSQ_EUSAGE,
                         "%s: a grid has its own normals; choose them for triangles only",
                         scan->path);
-    int status = fmt_nvdb_open(scan->ctx, scan->path, &scan->grid);
-    if (status < 0)
-        return status;
-    status = bake_check_grid(scan->ctx, &scan->grid);
+    BSQ_PASS(fmt_nvdb_open(scan->ctx, scan->path, &scan->grid));
+    int status = bake_check_grid(scan->ctx, &scan->grid);
     if (status == 0 && scan->grid.channels)
         status = fmt_channel_list_split(scan->ctx, scan->grid.channel_list,
                                         scan->grid.channel_list_bytes, &scan->own_channels,
@@ -66,11 +64,8 @@ static int open_exact(struct bake_scan *scan, const struct bake_options *options
 {
     const struct bake_exact_options exact = {
         .path = scan->path, .normals = options->scan_normals, .two_sided = options->two_sided};
-    int status = check_exact(scan, options);
-    if (status == 0)
-        status = bake_exact_open(scan->ctx, &exact, &scan->exact);
-    if (status < 0)
-        return status;
+    BSQ_PASS(check_exact(scan, options));
+    BSQ_PASS(bake_exact_open(scan->ctx, &exact, &scan->exact));
     const struct fmt_tris_header *header = bake_exact_header(scan->exact);
     double side = 0;
     for (int k = 0; k < 3; k++) {
@@ -140,9 +135,7 @@ static int surface_open_scan(struct bake_surface *surface, const struct bake_opt
     struct bake_scan *scan = &surface->scans[index];
     enum fmt_kind kind = FMT_KIND_TRIS;
     *scan = (struct bake_scan){.ctx = surface->ctx, .path = scan_path(options, index)};
-    int status = fmt_recognise_scan(surface->ctx, scan->path, &kind);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_recognise_scan(surface->ctx, scan->path, &kind));
     return kind == FMT_KIND_TRIS ? open_exact(scan, options) : open_grid(scan, options);
 }
 

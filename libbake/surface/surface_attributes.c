@@ -75,7 +75,6 @@ static int use_grid(struct bake_scan *scan, const struct bake_options *options, 
 {
     struct fmt_nvdb_grid *grid = &scan->grid;
     const uint32_t count = options->transfer_count;
-    int status = 0;
     if (options->scan_normal_map)
         return bsq_fail(scan->ctx, BSQ_EUSAGE,
                         "%s: a grid has no texture coordinates for the normal map %s; bake from "
@@ -86,13 +85,12 @@ static int use_grid(struct bake_scan *scan, const struct bake_options *options, 
     if (count == 0)
         grid->channels = NULL;
     if (count > 0)
-        BSQ_TRY(BSQ_ALLOC(scan->ctx, "transfer maps", count, &scan->transfer_words));
+        BSQ_PASS(BSQ_ALLOC(scan->ctx, "transfer maps", count, &scan->transfer_words));
     for (uint32_t i = 0; i < count; i++)
-        BSQ_TRY(attributes_find_channel(scan, &options->transfers[i], &scan->transfer_words[i]));
+        BSQ_PASS(attributes_find_channel(scan, &options->transfers[i], &scan->transfer_words[i]));
     grid->transfers = scan->transfer_words;
     grid->transfer_count = count;
-done:
-    return status;
+    return 0;
 }
 
 static int use_scan(struct bake_scan *scan, const struct bake_options *options, uint32_t maps)
@@ -111,7 +109,6 @@ int bake_surface_use(struct bake_surface *surface, const struct bake_options *op
 {
     const uint32_t scans = options->more_scan_count + 1;
     const char *normal_map = options->scan_normal_map;
-    int status = 0;
     for (uint32_t i = 0; i < options->transfer_count && scans > 1; i++)
         if (options->transfers[i].texture_path)
             return bsq_fail(surface->ctx, BSQ_EUSAGE,
@@ -121,9 +118,9 @@ int bake_surface_use(struct bake_surface *surface, const struct bake_options *op
         return bsq_fail(surface->ctx, BSQ_EUSAGE,
                         "%s is the normal map of one scan, but there are %u scans", normal_map,
                         scans);
-    for (uint32_t s = 0; s < surface->scan_count && status == 0; s++)
-        status = use_scan(&surface->scans[s], options, maps);
-    return status;
+    for (uint32_t s = 0; s < surface->scan_count; s++)
+        BSQ_PASS(use_scan(&surface->scans[s], options, maps));
+    return 0;
 }
 
 /* ---- names of ids ---- */

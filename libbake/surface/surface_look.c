@@ -228,14 +228,11 @@ static int look_at_all(struct view *view, uint64_t progress)
 {
     struct bake_look *look = view->look;
     const uint32_t n = look->surface->scan_count;
-    int status = 0;
     clear_states(&look->states, view->count);
     for (view->scan = 0; view->scan < n; view->scan++)
-        BSQ_TRY(look_at_scan(view, progress * (view->scan + 1) / n - progress * view->scan / n));
-    BSQ_TRY(bsq_parallel_ranges(look->surface->ctx, view->count, HITS_A_TASK, sum_task, view));
-    BSQ_TRY(bake_surface_check(look->surface));
-done:
-    return status;
+        BSQ_PASS(look_at_scan(view, progress * (view->scan + 1) / n - progress * view->scan / n));
+    BSQ_PASS(bsq_parallel_ranges(look->surface->ctx, view->count, HITS_A_TASK, sum_task, view));
+    return bake_surface_check(look->surface);
 }
 
 int bake_look_around(struct bake_look *look, const struct bake_look_hits *hits,
@@ -243,14 +240,13 @@ int bake_look_around(struct bake_look *look, const struct bake_look_hits *hits,
 {
     struct view view = {.look = look, .hits = hits, .out = out};
     const double each = (double)hits->progress / (double)hits->count;
-    int status = 0;
-    for (; view.first < hits->count && status == 0; view.first += view.count) {
+    for (; view.first < hits->count; view.first += view.count) {
         const uint64_t left = hits->count - view.first;
         view.count = left < look->states.capacity ? left : look->states.capacity;
-        status = look_at_all(&view, (uint64_t)(each * (double)(view.first + view.count)) -
-                                        (uint64_t)(each * (double)view.first));
+        BSQ_PASS(look_at_all(&view, (uint64_t)(each * (double)(view.first + view.count)) -
+                                        (uint64_t)(each * (double)view.first)));
     }
-    return status;
+    return 0;
 }
 
 /* ---- memory ---- */
@@ -279,7 +275,6 @@ static int create_states(struct bake_look *look, uint64_t most)
     struct bsq_ctx *ctx = look->surface->ctx;
     struct bake_ray_states *states = &look->states;
     const bool falls_off = look->params.flags & BK_OPEN_FALLOFF;
-    int status;
     states->opens = bk_open_rays(&look->params);
     states->solids = bk_solid_rays(&look->params);
     states->words = falls_off ? 0 : (states->opens + 63) / 64;
@@ -289,12 +284,10 @@ static int create_states(struct bake_look *look, uint64_t most)
     const uint64_t share = bsq_memory_share(ctx, "secondary rays", 8);
     const uint64_t fitting = bytes == 0 || most < share / bytes ? most : share / bytes;
     states->capacity = fitting < 1 ? 1 : fitting;
-    BSQ_TRY(
+    BSQ_PASS(
         BSQ_ALLOC(ctx, "secondary rays", states->capacity * states->words + 1, &states->hidden));
-    status = BSQ_ALLOC(ctx, "secondary rays", states->capacity * states->lengths + 1,
-                       &states->distances);
-done:
-    return status;
+    return BSQ_ALLOC(ctx, "secondary rays", states->capacity * states->lengths + 1,
+                     &states->distances);
 }
 
 int bake_look_create(const struct bake_surface *surface, uint64_t most, struct bake_look **out)

@@ -136,12 +136,9 @@ static int trace_next(const struct scans_trace *trace)
     own.batch.hits = trace->own_hits;
     own.batch.channels = trace->own_channels;
     own.batch.progress = progress * (s + 1) / n - progress * s / n;
-    int status = 0;
-    BSQ_TRY(bsq_parallel_ranges(surface->ctx, count, MOVED_RAYS_A_TASK, move_rays, arg));
-    BSQ_TRY(trace_scan(&surface->scans[s], &own));
-    BSQ_TRY(bsq_parallel_ranges(surface->ctx, count, MOVED_RAYS_A_TASK, keep_best, arg));
-done:
-    return status;
+    BSQ_PASS(bsq_parallel_ranges(surface->ctx, count, MOVED_RAYS_A_TASK, move_rays, arg));
+    BSQ_PASS(trace_scan(&surface->scans[s], &own));
+    return bsq_parallel_ranges(surface->ctx, count, MOVED_RAYS_A_TASK, keep_best, arg);
 }
 
 static int trace_scans(const struct bake_surface *surface, const struct bake_surface_rays *rays)

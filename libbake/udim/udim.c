@@ -351,9 +351,7 @@ static int udim_check_tiles(const struct tile_sorter *sorter, uint32_t count)
 /* Adds a tile, whose triangles follow those of all others. */
 static int add_tile(struct bsq_ctx *ctx, const struct bake_udim_tile *tile, struct bake_udim *out)
 {
-    int status = BSQ_GROW(ctx, "tiles", out->count + UINT64_C(1), &out->tiles, &out->capacity);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_GROW(ctx, "tiles", out->count + UINT64_C(1), &out->tiles, &out->capacity));
     const struct bake_udim_tile *last = out->count > 0 ? &out->tiles[out->count - 1] : NULL;
     out->tiles[out->count] = *tile;
     out->tiles[out->count++].first = last ? last->first + last->count : 0;
@@ -393,10 +391,8 @@ static int find_tiles_of_set(struct bsq_ctx *ctx, const struct bake_options *opt
                              uint64_t triangles[TILES], struct bake_udim *out)
 {
     struct tile_sorter *sorter;
-    int status = create_sorter(ctx, options, mesh, set, &sorter);
-    if (status < 0)
-        return status;
-    status = sort_by_tile(sorter, 0, NULL);
+    BSQ_PASS(create_sorter(ctx, options, mesh, set, &sorter));
+    int status = sort_by_tile(sorter, 0, NULL);
     if (status == 0)
         status = list_tiles(sorter, set, out);
     for (uint32_t tile = 0; tile < TILES; tile++)
@@ -434,14 +430,13 @@ static int check_range(struct bsq_ctx *ctx, const struct bake_options *options,
 static int check_named_tiles(struct bsq_ctx *ctx, const struct bake_options *options,
                              const uint64_t triangles[TILES])
 {
-    int status = 0;
-    for (uint32_t i = 0; i < options->tile_size_count && status == 0; i++)
-        status = check_range(ctx, options, triangles, options->tile_sizes[i].tile,
-                             options->tile_sizes[i].tile);
-    for (uint32_t i = 0; i < options->tile_range_count && status == 0; i++)
-        status = check_range(ctx, options, triangles, options->tile_ranges[i].first,
-                             options->tile_ranges[i].last);
-    return status;
+    for (uint32_t i = 0; i < options->tile_size_count; i++)
+        BSQ_PASS(check_range(ctx, options, triangles, options->tile_sizes[i].tile,
+                             options->tile_sizes[i].tile));
+    for (uint32_t i = 0; i < options->tile_range_count; i++)
+        BSQ_PASS(check_range(ctx, options, triangles, options->tile_ranges[i].first,
+                             options->tile_ranges[i].last));
+    return 0;
 }
 
 /* Returns the number of sets, at least one. */
@@ -479,9 +474,7 @@ static int sort_set(struct bsq_ctx *ctx, const struct bake_options *options,
                     uint32_t *order, uint32_t *tile, uint64_t *rest)
 {
     struct tile_sorter *sorter;
-    int status = create_sorter(ctx, options, mesh, set, &sorter);
-    if (status < 0)
-        return status;
+    BSQ_PASS(create_sorter(ctx, options, mesh, set, &sorter));
     uint32_t first = TILES;
     for (; *tile < udim->count && udim->tiles[*tile].set == set; ++*tile) {
         const uint32_t number = udim->tiles[*tile].number - BAKE_FIRST_TILE;
@@ -489,7 +482,7 @@ static int sort_set(struct bsq_ctx *ctx, const struct bake_options *options,
         sorter->places[number] = udim->tiles[*tile].first;
     }
     sorter->order = order;
-    status = sort_by_tile(sorter, first, rest);
+    int status = sort_by_tile(sorter, first, rest);
     bsq_free(ctx, sorter);
     return status;
 }

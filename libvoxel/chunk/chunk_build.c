@@ -43,24 +43,22 @@ int vox_chunk_builder_init(struct chunk_builder *b, const struct scan *scan,
     const uint32_t attributes = scan->attributes;
     uint64_t bound = fmt_tris_encoded_bound(scan_stored_attributes(scan), FMT_TRIS_CHUNK_TRIANGLES,
                                             MAX_VERTICES);
-    int status;
     *b = (struct chunk_builder){.ctx = scan->ctx, .scan = scan, .layout = layout, .used = used};
-    BSQ_TRY(bsq_alloc(b->ctx, what, MAX_VERTICES, 12, &b->positions));
-    BSQ_TRY(bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, 12, &b->triangles));
-    BSQ_TRY(bsq_alloc(b->ctx, what, (uint64_t)1 << MAX_TABLE_BITS, 4, &b->table));
-    BSQ_TRY(BSQ_ALLOC(b->ctx, what, (uint64_t)1 << CACHE_BITS, &b->cache));
-    BSQ_TRY(BSQ_ALLOC(b->ctx, what, (uint64_t)1 << PLAIN_CACHE_BITS, &b->plain));
-    BSQ_TRY(bsq_alloc(b->ctx, what, bound, 1, &b->encoded));
+    BSQ_PASS(bsq_alloc(b->ctx, what, MAX_VERTICES, 12, &b->positions));
+    BSQ_PASS(bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, 12, &b->triangles));
+    BSQ_PASS(bsq_alloc(b->ctx, what, (uint64_t)1 << MAX_TABLE_BITS, 4, &b->table));
+    BSQ_PASS(BSQ_ALLOC(b->ctx, what, (uint64_t)1 << CACHE_BITS, &b->cache));
+    BSQ_PASS(BSQ_ALLOC(b->ctx, what, (uint64_t)1 << PLAIN_CACHE_BITS, &b->plain));
+    BSQ_PASS(bsq_alloc(b->ctx, what, bound, 1, &b->encoded));
     if (attributes & FMT_TRIS_NORMALS)
-        BSQ_TRY(bsq_alloc(b->ctx, what, MAX_VERTICES, 4, &b->normals));
+        BSQ_PASS(bsq_alloc(b->ctx, what, MAX_VERTICES, 4, &b->normals));
     if (attributes & FMT_TRIS_TEXCOORDS)
-        BSQ_TRY(bsq_alloc(b->ctx, what, MAX_VERTICES, 8, &b->texcoords));
+        BSQ_PASS(bsq_alloc(b->ctx, what, MAX_VERTICES, 8, &b->texcoords));
     if (attributes & FMT_TRIS_COLORS)
-        BSQ_TRY(bsq_alloc(b->ctx, what, MAX_VERTICES, 4, &b->colors));
+        BSQ_PASS(bsq_alloc(b->ctx, what, MAX_VERTICES, 4, &b->colors));
     if (attributes & FMT_TRIS_MATERIALS)
-        BSQ_TRY(bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, 4, &b->materials));
-done:
-    return status;
+        BSQ_PASS(bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, 4, &b->materials));
+    return 0;
 }
 
 void vox_chunk_builder_free(struct chunk_builder *b)

@@ -99,13 +99,12 @@ static void chunks_divide_memory(struct batches *b)
 static int chunks_allocate(struct batches *b)
 {
     chunks_divide_memory(b);
-    int status = vox_batch_open(&b->batch, b->scan, b->partition, b->capacity);
-    if (status == 0)
-        status = BSQ_CALLOC(b->ctx, "sorting", b->slot_count, &b->slots);
-    for (unsigned i = 0; status == 0 && i < b->slot_count; i++)
-        status = vox_chunk_builder_init(&b->slots[i].builder, b->batch.scan, &b->partition->layout,
-                                        b->batch.used);
-    return status;
+    BSQ_PASS(vox_batch_open(&b->batch, b->scan, b->partition, b->capacity));
+    BSQ_PASS(BSQ_CALLOC(b->ctx, "sorting", b->slot_count, &b->slots));
+    for (unsigned i = 0; i < b->slot_count; i++)
+        BSQ_PASS(vox_chunk_builder_init(&b->slots[i].builder, b->batch.scan, &b->partition->layout,
+                                        b->batch.used));
+    return 0;
 }
 
 static void chunks_release(struct batches *b)
@@ -182,21 +181,19 @@ static int write_batch(struct batches *b)
                                           .slots = b->slots,
                                           .slot_size = sizeof *b->slots,
                                           .slot_count = b->slot_count};
-    int status;
-    BSQ_TRY(vox_batch_sort(&b->batch));
-    BSQ_TRY(bsq_pipeline_run(b->ctx, &pipeline));
+    BSQ_PASS(vox_batch_sort(&b->batch));
+    BSQ_PASS(bsq_pipeline_run(b->ctx, &pipeline));
     vox_batch_carry_over(&b->batch, b->cut);
     b->cut = 0;
-done:
-    return status;
+    return 0;
 }
 
 /* ---- buckets in order ---- */
 
 static int add_slice(struct batches *b, const struct batch_slice *slice)
 {
-    int status = vox_batch_fits(&b->batch, slice->count) ? 0 : write_batch(b);
-    return status < 0 ? status : vox_batch_add(&b->batch, slice);
+    BSQ_PASS(vox_batch_fits(&b->batch, slice->count) ? 0 : write_batch(b));
+    return vox_batch_add(&b->batch, slice);
 }
 
 /* Adds a bucket in slices that end with a run. All its triangles have the same key, so their order
@@ -301,15 +298,15 @@ done:
 
 static int add_buckets(struct batches *b, const struct bsq_spill *buckets, uint32_t levels)
 {
-    int status = 0;
-    for (uint32_t c = 0; status == 0 && c < buckets->stream_count; c++) {
+    for (uint32_t c = 0; c < buckets->stream_count; c++) {
         const struct batch_slice slice = {
             .buckets = buckets, .bucket = c, .levels = levels, .count = buckets->list[c].items};
         if (slice.count == 0)
             continue;
-        status = slice.count <= b->slice_limit ? add_slice(b, &slice) : add_large_bucket(b, &slice);
+        BSQ_PASS(slice.count <= b->slice_limit ? add_slice(b, &slice)
+                                               : add_large_bucket(b, &slice));
     }
-    return status;
+    return 0;
 }
 
 int vox_write_chunks(const struct scan *scan, const struct partition *partition, const char *beside,

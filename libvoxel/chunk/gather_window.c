@@ -76,14 +76,10 @@ static int open_kind(struct gather_window *w, enum fmt_mesh_kind number)
     kind->count = scan_count(w->scan, scan_stream_of(number));
     if (!kind->active)
         return 0;
-    int status = BSQ_CALLOC(w->ctx, "sorting", used_words(kind->count), &kind->marks);
-    if (status == 0)
-        status = BSQ_ALLOC(w->ctx, "sorting", used_words(kind->count), &kind->ranks);
-    if (status == 0)
-        status = BSQ_ALLOC(w->ctx, "sorting", range_count(kind), &kind->range_ranks);
-    if (status == 0)
-        status = BSQ_CALLOC(w->ctx, "sorting", range_count(kind), &kind->ranges);
-    return status;
+    BSQ_PASS(BSQ_CALLOC(w->ctx, "sorting", used_words(kind->count), &kind->marks));
+    BSQ_PASS(BSQ_ALLOC(w->ctx, "sorting", used_words(kind->count), &kind->ranks));
+    BSQ_PASS(BSQ_ALLOC(w->ctx, "sorting", range_count(kind), &kind->range_ranks));
+    return BSQ_CALLOC(w->ctx, "sorting", range_count(kind), &kind->ranges);
 }
 
 int vox_gather_open(struct gather_window *w, const struct scan *scan,

@@ -49,12 +49,10 @@ static int open_readers(struct batch *b)
 {
     const struct tuple_layout *layout = &b->partition->layout;
     b->reader_count = bsq_threads(b->ctx) + 1;
-    int status;
-    BSQ_TRY(BSQ_CALLOC(b->ctx, "sorting", b->reader_count, &b->readers));
+    BSQ_PASS(BSQ_CALLOC(b->ctx, "sorting", b->reader_count, &b->readers));
     for (unsigned i = 0; i < b->reader_count; i++)
-        BSQ_TRY(vox_run_reader_init(&b->readers[i], b->scan, layout));
-done:
-    return status;
+        BSQ_PASS(vox_run_reader_init(&b->readers[i], b->scan, layout));
+    return 0;
 }
 
 int vox_batch_open(struct batch *b, const struct scan *scan, const struct partition *partition,
@@ -68,16 +66,13 @@ int vox_batch_open(struct batch *b, const struct scan *scan, const struct partit
                         .used = partition->used,
                         .gathered = partition->layout.gathered,
                         .capacity = capacity};
-    int status;
-    BSQ_TRY(b->gathered ? open_window(b) : 0);
-    BSQ_TRY(bsq_alloc(b->ctx, what, capacity * bytes + TUPLE_SLACK, 1, &b->tuples));
-    BSQ_TRY(bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, bytes, &b->spare_tuples));
-    BSQ_TRY(BSQ_ALLOC(b->ctx, what, capacity, &b->entries));
-    BSQ_TRY(BSQ_ALLOC(b->ctx, what, capacity, &b->scratch));
+    BSQ_PASS(b->gathered ? open_window(b) : 0);
+    BSQ_PASS(bsq_alloc(b->ctx, what, capacity * bytes + TUPLE_SLACK, 1, &b->tuples));
+    BSQ_PASS(bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, bytes, &b->spare_tuples));
+    BSQ_PASS(BSQ_ALLOC(b->ctx, what, capacity, &b->entries));
+    BSQ_PASS(BSQ_ALLOC(b->ctx, what, capacity, &b->scratch));
     memset(b->tuples + capacity * bytes, 0, TUPLE_SLACK);
-    status = open_readers(b);
-done:
-    return status;
+    return open_readers(b);
 }
 
 void vox_batch_close(struct batch *b)
@@ -268,9 +263,7 @@ bool vox_batch_fits(const struct batch *b, uint64_t triangles)
 
 int vox_batch_add(struct batch *b, const struct batch_slice *slice)
 {
-    int status = BSQ_GROW(b->ctx, "sorting", b->slice_count + 1, &b->slices, &b->slice_capacity);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_GROW(b->ctx, "sorting", b->slice_count + 1, &b->slices, &b->slice_capacity));
     struct batch_slice *added = &b->slices[b->slice_count++];
     *added = *slice;
     added->at = b->count;
@@ -294,9 +287,7 @@ static int read_slice(void *arg, uint64_t index, unsigned worker)
     for (uint64_t done = 0, entered = 0; done < slice->count;) {
         uint8_t *tuples = b->tuples + (slice->tuple + done) * b->partition->layout.bytes;
         uint32_t count;
-        int status = vox_run_reader_next(reader, tuples, &count);
-        if (status < 0)
-            return status;
+        BSQ_PASS(vox_run_reader_next(reader, tuples, &count));
         done += count;
         if (b->gathered)
             vox_gather_mark(&b->window, tuples, count);
@@ -349,11 +340,8 @@ static int sort_gathered(struct batch *b, uint64_t carried)
 {
     vox_gather_clear(&b->window);
     vox_gather_mark(&b->window, b->tuples, carried);
-    int status = bsq_parallel_for(b->ctx, b->slice_count, read_slice, b);
-    if (status == 0)
-        status = vox_gather_fetch(&b->window, b->partition->used);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bsq_parallel_for(b->ctx, b->slice_count, read_slice, b));
+    BSQ_PASS(vox_gather_fetch(&b->window, b->partition->used));
     vox_gather_number(&b->window, b->tuples, carried);
     return bsq_parallel_for(b->ctx, b->slice_count, sort_fetched, b);
 }

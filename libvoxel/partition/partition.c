@@ -143,11 +143,10 @@ static int partition_divide_memory(struct reading *r, uint64_t *pages)
     const uint64_t others = limits->reserve_bytes + r->slot_count * BLOCK_BYTES + vertices / 8;
     const uint64_t left = unused > others ? unused - others : 0;
     uint64_t batches = unused / 3;
-    int status = 0;
     batches = batches < 24 * MIB ? 24 * MIB : batches > 128 * MIB ? 128 * MIB : batches;
     batches += r->spilled ? vertices / 4 : 0; /* bits and ranks of chunk/gather_window.h */
     if (r->spilled)
-        BSQ_TRY(make_table(r, left));
+        BSQ_PASS(make_table(r, left));
     if (r->spilled && r->vertex_buckets.levels == 0)
         return refuse_vertices(r, others + limits->page_memory + vertices - unused);
     const uint64_t table = r->vertex_buckets.bytes;
@@ -156,8 +155,7 @@ static int partition_divide_memory(struct reading *r, uint64_t *pages)
     *pages = *pages < limits->max_page_memory ? *pages : limits->max_page_memory;
     bsq_note_share(scan->ctx, "buckets", *pages);
     bsq_note_share(scan->ctx, "buckets of vertices", table);
-done:
-    return status;
+    return 0;
 }
 
 /* ---- buckets ---- */
@@ -185,12 +183,9 @@ static int make_buckets(struct reading *r, uint64_t page_memory)
     if (r->spilled && out->levels < r->vertex_buckets.levels)
         vox_vertex_buckets_coarsen(scan, &r->vertex_buckets, out->levels);
     out->vertices_lack_order = r->spilled && !r->vertex_buckets.have_order;
-    int status;
-    BSQ_TRY(bsq_spill_init(&out->buckets, scan->ctx, "sorted tuples", r->beside,
-                           1u << 3 * out->levels, used, page_bytes, page_memory));
-    status = BSQ_CALLOC(scan->ctx, "vertices in use", used_words(vertices), &out->used);
-done:
-    return status;
+    BSQ_PASS(bsq_spill_init(&out->buckets, scan->ctx, "sorted tuples", r->beside,
+                            1u << 3 * out->levels, used, page_bytes, page_memory));
+    return BSQ_CALLOC(scan->ctx, "vertices in use", used_words(vertices), &out->used);
 }
 
 /* ---- steps of the reader ---- */
@@ -199,12 +194,11 @@ done:
 static int begin_faces(struct reading *r)
 {
     uint64_t pages = 0;
-    int status;
-    BSQ_TRY(vox_scan_finish_streams(r->scan));
+    BSQ_PASS(vox_scan_finish_streams(r->scan));
     r->spilled = bsq_spill_in_file(&r->scan->streams[SCAN_POSITIONS].spill);
     r->out->cube = morton_cube_over(r->scan->bounds_min, r->scan->bounds_max);
-    BSQ_TRY(partition_divide_memory(r, &pages));
-    BSQ_TRY(make_buckets(r, pages));
+    BSQ_PASS(partition_divide_memory(r, &pages));
+    BSQ_PASS(make_buckets(r, pages));
     r->plan = (struct triangulation_plan){
         .scan = r->scan,
         .cube = r->out->cube,
@@ -212,10 +206,9 @@ static int begin_faces(struct reading *r)
         .vertex_buckets = r->spilled ? &r->vertex_buckets : NULL,
     };
     for (unsigned i = 0; i < r->slot_count; i++)
-        BSQ_TRY(vox_triangulator_init(&r->slots[i].triangulator, r->scan->ctx, &r->plan));
+        BSQ_PASS(vox_triangulator_init(&r->slots[i].triangulator, r->scan->ctx, &r->plan));
     r->begun = true;
-done:
-    return status;
+    return 0;
 }
 
 static int on_batch(void *arg, const struct fmt_mesh_batch *batch)

@@ -62,17 +62,14 @@ void vox_triangulator_free(struct triangulator *t)
 static int reserve_polygon(struct triangulator *t, uint32_t max_size)
 {
     const char *what = "faces";
-    int status = 0;
     if (max_size <= 3)
         return 0;
     if (t->plan->vertex_buckets && !t->pages)
-        BSQ_TRY(BSQ_CALLOC(t->ctx, what, 1, &t->pages));
-    BSQ_TRY(BSQ_GROW(t->ctx, what, max_size, &t->polygon, &t->polygon_capacity[0]));
-    BSQ_TRY(bsq_grow(t->ctx, what, max_size, 12, &t->polygon_triangles, &t->polygon_capacity[1]));
-    status = bsq_grow(t->ctx, what, bsq_triangulate_scratch(max_size), 1, &t->polygon_scratch,
-                      &t->polygon_capacity[2]);
-done:
-    return status;
+        BSQ_PASS(BSQ_CALLOC(t->ctx, what, 1, &t->pages));
+    BSQ_PASS(BSQ_GROW(t->ctx, what, max_size, &t->polygon, &t->polygon_capacity[0]));
+    BSQ_PASS(bsq_grow(t->ctx, what, max_size, 12, &t->polygon_triangles, &t->polygon_capacity[1]));
+    return bsq_grow(t->ctx, what, bsq_triangulate_scratch(max_size), 1, &t->polygon_scratch,
+                    &t->polygon_capacity[2]);
 }
 
 /* ---- triangles ---- */
@@ -122,15 +119,14 @@ static int read_position(struct triangulator *t, const struct faces *faces, uint
     const uint64_t first = page * PAGE_VERTICES, left = stream->count - first;
     float(*positions)[3] = t->pages->positions[page % PAGES];
     uint64_t *end = &t->pages->ends[page % PAGES];
-    int status = 0;
     if (*end != page + 1) {
         *end = 0;
-        BSQ_TRY(stream_read(stream, first, left < PAGE_VERTICES ? left : PAGE_VERTICES, positions));
+        BSQ_PASS(
+            stream_read(stream, first, left < PAGE_VERTICES ? left : PAGE_VERTICES, positions));
         *end = page + 1;
     }
     *out = positions[vertex % PAGE_VERTICES];
-done:
-    return status;
+    return 0;
 }
 
 /* Adds the triangle of corners first + v[0], first + v[1] and first + v[2]. */
@@ -144,25 +140,23 @@ static inline void faces_add_triangle(struct triangulator *t, uint32_t first, co
 static int add_polygon(struct triangulator *t, const struct faces *faces, uint32_t first,
                        uint32_t size)
 {
-    int status = 0;
     for (uint32_t k = 0; k < size; k++) {
         const float *p;
         if (t->pages)
-            BSQ_TRY(read_position(t, faces, first + k, &p));
+            BSQ_PASS(read_position(t, faces, first + k, &p));
         else
             p = corner_position(t, faces, first + k);
         for (int axis = 0; axis < 3; axis++)
             t->polygon[k][axis] = p[axis];
-        BSQ_TRY(bsq_check_corner(t->ctx, k));
+        BSQ_PASS(bsq_check_corner(t->ctx, k));
     }
-    BSQ_TRY(bsq_triangulate(t->ctx, (const double(*)[3])t->polygon, size, t->polygon_triangles,
-                            t->polygon_scratch));
+    BSQ_PASS(bsq_triangulate(t->ctx, (const double(*)[3])t->polygon, size, t->polygon_triangles,
+                             t->polygon_scratch));
     for (uint32_t i = 0; i < size - 2; i++) {
         faces_add_triangle(t, first, t->polygon_triangles + 3 * i);
-        BSQ_TRY(bsq_check_corner(t->ctx, i));
+        BSQ_PASS(bsq_check_corner(t->ctx, i));
     }
-done:
-    return status;
+    return 0;
 }
 
 static int add_faces(struct triangulator *t, const struct faces *faces)
@@ -387,10 +381,8 @@ static int reserve_plain(struct triangulator *t, uint64_t triangles)
     uint64_t runs = most_runs(triangles), headers = runs + triangles / RUN_TRIANGLES + 1;
     uint64_t bytes =
         triangles * coded_triangle_bytes(t->plan, 1) + headers * RUN_HEADER_MAX + CORNER_CODE_SLACK;
-    int status = bsq_grow(t->ctx, "faces", bytes, 1, &t->bytes, &t->bytes_capacity);
-    if (status == 0)
-        status = BSQ_GROW(t->ctx, "faces", runs, &t->runs, &t->run_capacity);
-    return status;
+    BSQ_PASS(bsq_grow(t->ctx, "faces", bytes, 1, &t->bytes, &t->bytes_capacity));
+    return BSQ_GROW(t->ctx, "faces", runs, &t->runs, &t->run_capacity);
 }
 
 /* Ends the runs of the current bucket. */
@@ -452,9 +444,7 @@ static int triangulate_plain(struct triangulator *t, const struct faces *faces, 
     if (t->skipped_plain > 0)
         t->skipped_plain--;
     else if (faces_is_plain(faces)) {
-        int status = reserve_plain(t, faces->batch->face_count);
-        if (status < 0)
-            return status;
+        BSQ_PASS(reserve_plain(t, faces->batch->face_count));
         *done = code_triangles(t, faces);
         t->skipped_plain = *done ? 0 : BLOCKS_WITHOUT_TRIAL;
     }
@@ -474,17 +464,15 @@ static int faces_reserve(struct triangulator *t, const struct faces *faces, uint
         triangles * (coded_triangle_bytes(t->plan, kinds) + RUN_HEADER_MAX) + CORNER_CODE_SLACK;
     const uint64_t buckets = (uint64_t)1 << 3 * t->plan->levels;
     const uint64_t runs = (buckets < triangles ? buckets : triangles) + 1;
-    int status;
-    BSQ_TRY(bsq_grow(t->ctx, what, bytes, 1, &t->bytes, &t->bytes_capacity));
-    BSQ_TRY(BSQ_GROW(t->ctx, what, runs, &t->runs, &t->run_capacity));
-    BSQ_TRY(BSQ_GROW(t->ctx, what, triangles, &t->buckets, &t->bucket_capacity));
-    BSQ_TRY(BSQ_GROW(t->ctx, what, triangles + SORTED_AHEAD, &t->order, &t->order_capacity));
+    BSQ_PASS(bsq_grow(t->ctx, what, bytes, 1, &t->bytes, &t->bytes_capacity));
+    BSQ_PASS(BSQ_GROW(t->ctx, what, runs, &t->runs, &t->run_capacity));
+    BSQ_PASS(BSQ_GROW(t->ctx, what, triangles, &t->buckets, &t->bucket_capacity));
+    BSQ_PASS(BSQ_GROW(t->ctx, what, triangles + SORTED_AHEAD, &t->order, &t->order_capacity));
     if (faces->sizes)
-        BSQ_TRY(BSQ_GROW(t->ctx, what, triangles, &t->corners, &t->corner_capacity));
+        BSQ_PASS(BSQ_GROW(t->ctx, what, triangles, &t->corners, &t->corner_capacity));
     if (faces->has_materials)
-        BSQ_TRY(BSQ_GROW(t->ctx, what, triangles, &t->materials, &t->material_capacity));
-done:
-    return status;
+        BSQ_PASS(BSQ_GROW(t->ctx, what, triangles, &t->materials, &t->material_capacity));
+    return 0;
 }
 
 int vox_triangulate_batch(struct triangulator *t, const struct fmt_mesh_batch *batch,

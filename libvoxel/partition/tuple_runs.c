@@ -175,19 +175,17 @@ int vox_run_reader_next(struct run_reader *reader, uint8_t *to, uint32_t *count)
 {
     struct run_header header;
     uint32_t before;
-    int status;
-    BSQ_TRY(fill_buffer(reader, 4));
+    BSQ_PASS(fill_buffer(reader, 4));
     header = run_header_get(reader->buffer + reader->begin);
     before = run_header_bytes(&header);
     if (reader->end - reader->begin < before + header.bytes) {
-        BSQ_TRY(fill_buffer(reader, before));
+        BSQ_PASS(fill_buffer(reader, before));
         header = run_header_get(reader->buffer + reader->begin);
-        BSQ_TRY(fill_buffer(reader, before + header.bytes));
+        BSQ_PASS(fill_buffer(reader, before + header.bytes));
     }
     if (to)
         tuples_decode(reader, &header, reader->buffer + reader->begin + before, to);
     reader->begin += before + header.bytes;
     *count = header.triangles;
-done:
-    return status;
+    return 0;
 }

@@ -33,9 +33,8 @@ static int read_vertices(const struct scan *scan, const struct morton_cube *cube
     block->first += block->count;
     const uint64_t left = stream->count - block->first;
     block->count = left < BLOCK_VERTICES ? (uint32_t)left : BLOCK_VERTICES;
-    int status;
-    BSQ_TRY(bsq_check(scan->ctx));
-    BSQ_TRY(stream_read(stream, block->first, block->count, block->positions));
+    BSQ_PASS(bsq_check(scan->ctx));
+    BSQ_PASS(stream_read(stream, block->first, block->count, block->positions));
     for (uint32_t i = 0; i < block->count; i++) {
         const uint32_t bucket = morton_cell(cube, levels, block->positions[i]);
         block->buckets[i] = bucket;
@@ -45,8 +44,7 @@ static int read_vertices(const struct scan *scan, const struct morton_cube *cube
         block->changes++;
         block->occupied[bucket / 64] |= (uint64_t)1 << bucket % 64;
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Counts the buckets that have vertices, on each level. */
@@ -90,9 +88,7 @@ static bool vertices_add_runs(struct vertex_buckets *out, const struct vertex_bl
 static int end_runs(const struct scan *scan, struct vertex_buckets *out)
 {
     uint64_t *runs = NULL;
-    int status = BSQ_ALLOC(scan->ctx, what, out->run_count + 1, &runs);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_ALLOC(scan->ctx, what, out->run_count + 1, &runs));
     memcpy(runs, out->runs, out->run_count * sizeof *runs);
     runs[out->run_count] = UINT64_MAX;
     bsq_free(scan->ctx, out->runs);
@@ -110,17 +106,14 @@ static int make_runs(const struct scan *scan, const struct morton_cube *cube, ui
     /* They are copied once. */
     uint64_t most = bytes > others ? (bytes - others) / 2 / sizeof *out->runs : 0;
     most = most < vertices / VERTICES_BY_RUN ? most : vertices / VERTICES_BY_RUN;
-    int status;
     *made = most > 0;
-    BSQ_TRY(BSQ_ALLOC(scan->ctx, what, most, &out->runs));
-    BSQ_TRY(bsq_alloc(scan->ctx, what, first_run_bytes(scan), 1, &out->first_runs));
+    BSQ_PASS(BSQ_ALLOC(scan->ctx, what, most, &out->runs));
+    BSQ_PASS(bsq_alloc(scan->ctx, what, first_run_bytes(scan), 1, &out->first_runs));
     while (*made && block->first + block->count < vertices) {
-        BSQ_TRY(read_vertices(scan, cube, out->levels, block));
+        BSQ_PASS(read_vertices(scan, cube, out->levels, block));
         *made = vertices_add_runs(out, block, most);
     }
-    status = *made ? end_runs(scan, out) : 0;
-done:
-    return status;
+    return *made ? end_runs(scan, out) : 0;
 }
 
 /* ---- tables ---- */
@@ -130,21 +123,19 @@ static int vertices_make_entries(const struct scan *scan, const struct morton_cu
                                  struct vertex_block *block, struct vertex_buckets *out)
 {
     const uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
-    int status;
     if (out->levels > VERTEX_BUCKET_NARROW_LEVELS)
-        BSQ_TRY(BSQ_ALLOC(scan->ctx, what, vertices, &out->wide));
+        BSQ_PASS(BSQ_ALLOC(scan->ctx, what, vertices, &out->wide));
     else
-        BSQ_TRY(BSQ_ALLOC(scan->ctx, what, vertices, &out->narrow));
+        BSQ_PASS(BSQ_ALLOC(scan->ctx, what, vertices, &out->narrow));
     while (block->first + block->count < vertices) {
-        BSQ_TRY(read_vertices(scan, cube, out->levels, block));
+        BSQ_PASS(read_vertices(scan, cube, out->levels, block));
         for (uint32_t i = 0; i < block->count; i++)
             if (out->wide)
                 out->wide[block->first + i] = (uint16_t)block->buckets[i];
             else
                 out->narrow[block->first + i] = (uint8_t)block->buckets[i];
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Returns the levels of a table with an entry for each vertex, or 0 if none is that small. */

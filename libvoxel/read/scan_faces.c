@@ -166,9 +166,7 @@ static int note_material(struct scan *scan, uint32_t material, uint32_t file, ui
                          uint64_t bare_faces)
 {
     struct scan_material_use *use;
-    int status = enter_material(scan, material, &use);
-    if (status < 0)
-        return status;
+    BSQ_PASS(enter_material(scan, material, &use));
     use->file = file;
     use->faces += faces;
     use->bare_faces += bare_faces;
@@ -299,12 +297,9 @@ static int report_faceless(const struct scan *scan)
                                                        : &faces,
                 i);
     }
-    int status;
-    BSQ_TRY(warn(scan, &bytes, true, "an empty file, it adds nothing to the scan"));
-    BSQ_TRY(warn(scan, &points, true, "no faces, only vertices; it adds nothing to the scan"));
-    status = warn(scan, &faces, true, "no faces; it adds nothing to the scan");
-done:
-    return status;
+    BSQ_PASS(warn(scan, &bytes, true, "an empty file, it adds nothing to the scan"));
+    BSQ_PASS(warn(scan, &points, true, "no faces, only vertices; it adds nothing to the scan"));
+    return warn(scan, &faces, true, "no faces; it adds nothing to the scan");
 }
 
 int vox_scan_compare_files(struct scan *scan, const char *texture_path)
@@ -320,12 +315,9 @@ int vox_scan_compare_files(struct scan *scan, const char *texture_path)
             !file->has_texcoords)
             add(&texcoords, i);
     }
-    int status;
-    BSQ_TRY(report_faceless(scan));
-    BSQ_TRY(compare_colors(scan));
-    BSQ_TRY(warn(scan, &texcoords, true, "no texture coordinates, --texture is not used"));
-    status = warn(scan, &normals, false,
-                  "no normals, so its facets stay flat; other files of the scan have normals");
-done:
-    return status;
+    BSQ_PASS(report_faceless(scan));
+    BSQ_PASS(compare_colors(scan));
+    BSQ_PASS(warn(scan, &texcoords, true, "no texture coordinates, --texture is not used"));
+    return warn(scan, &normals, false,
+                "no normals, so its facets stay flat; other files of the scan have normals");
 }

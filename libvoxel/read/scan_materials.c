@@ -276,7 +276,6 @@ static int whiten_colorless(struct scan *scan)
 {
     static const float white[3] = {1.0f, 1.0f, 1.0f};
     uint32_t shared = UINT32_MAX; /* an entry that is added when it is needed first */
-    int status = 0;
     if (scan->has_colors || !has_colored_material(scan))
         return 0;
     for (uint64_t i = 0; i < 2 * ((uint64_t)scan->usemtl_count + 1); i++) {
@@ -289,7 +288,7 @@ static int whiten_colorless(struct scan *scan)
         if ((i % 2 == 0 ? use->faces : use->bare_faces) == 0)
             continue;
         if (*entry == UINT32_MAX && shared == UINT32_MAX)
-            BSQ_TRY(add_material(scan, NULL, white, true, by_name(scan) ? "" : NULL, &shared));
+            BSQ_PASS(add_material(scan, NULL, white, true, by_name(scan) ? "" : NULL, &shared));
         if (*entry == UINT32_MAX)
             *entry = shared;
         struct fmt_tris_material *material = &scan->materials[*entry];
@@ -297,8 +296,7 @@ static int whiten_colorless(struct scan *scan)
             memcpy(material->diffuse, white, sizeof white);
         material->colorless = false;
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Returns whether some materials name textures of their colour, no such texture can be used, and no
@@ -327,24 +325,22 @@ static int add_entries(struct scan *scan, const struct fmt_material *from, uint3
     const bool names_texture = from->color.texture_path || from->color.lost_texture;
     const bool has_color = from->color.has_value && !(names_texture && scan->lost_colors);
     const bool plain = has_color || name || scan->channel_count > 0;
-    int status = 0;
     if (textured)
-        BSQ_TRY(add_material(scan, colored ? from->color.texture_path : NULL, from->color.value,
-                             colored || has_color, name, &map[0]));
+        BSQ_PASS(add_material(scan, colored ? from->color.texture_path : NULL, from->color.value,
+                              colored || has_color, name, &map[0]));
     if (textured)
-        BSQ_TRY(add_sources(scan, from, true, map[0]));
+        BSQ_PASS(add_sources(scan, from, true, map[0]));
     if (colored)
         scan->materials[map[0]].uv = from->color.uv;
     if (colored)
         scan->materials[map[0]].tinted = from->tinted;
     if (plain && (!textured || scan->lacks_texcoord)) {
-        BSQ_TRY(add_material(scan, NULL, from->color.value, has_color, name, &map[1]));
-        BSQ_TRY(add_sources(scan, from, false, map[1]));
+        BSQ_PASS(add_material(scan, NULL, from->color.value, has_color, name, &map[1]));
+        BSQ_PASS(add_sources(scan, from, false, map[1]));
     }
     if (!textured)
         map[0] = map[1];
-done:
-    return status;
+    return 0;
 }
 
 /* Adds the entries of all materials. The last of `found` is what faces without a material have.
@@ -352,7 +348,6 @@ done:
  * share an entry. */
 static int add_all(struct scan *scan, const struct fmt_materials *found, const char *image)
 {
-    int status = 0;
     for (uint32_t i = 0; i <= scan->usemtl_count; i++) {
         const uint32_t last = found->count - 1;
         uint32_t *map = &scan->material_map[2 * (uint64_t)i];
@@ -362,14 +357,13 @@ static int add_all(struct scan *scan, const struct fmt_materials *found, const c
                 (struct fmt_material_channel){.texture_path = (char *)image, .value = {1, 1, 1}};
             from.tinted = false;
         }
-        BSQ_TRY(bsq_check(scan->ctx));
+        BSQ_PASS(bsq_check(scan->ctx));
         if (image && i > 0 && !keeps_materials(scan))
             map[0] = scan->material_map[0];
         else if (image || i < scan->usemtl_count || scan->channel_count > 0)
-            BSQ_TRY(add_entries(scan, &from, map));
+            BSQ_PASS(add_entries(scan, &from, map));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Warns of faces that lose the colour of their texture, as they have no texture coordinates. Vertex
@@ -495,27 +489,25 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
                             const char *texture_path, struct scan_textures *textures,
                             enum fmt_ids ids)
 {
-    int status;
     scan->ids = ids;
-    BSQ_TRY(check_ids(scan));
+    BSQ_PASS(check_ids(scan));
     scan->usemtl_count = scan->totals.materials;
     if (texture_path && scan_count(scan, SCAN_TEXCOORDS) == 0) {
-        BSQ_TRY(drop_optional(scan, &(struct fmt_materials){0}));
-        BSQ_TRY(allocate_tables(scan));
-        BSQ_TRY(bsq_warn_loss(scan->ctx, "%s: no texture coordinates, %s is not used",
-                              scan->paths[0], texture_path));
+        BSQ_PASS(drop_optional(scan, &(struct fmt_materials){0}));
+        BSQ_PASS(allocate_tables(scan));
+        BSQ_PASS(bsq_warn_loss(scan->ctx, "%s: no texture coordinates, %s is not used",
+                               scan->paths[0], texture_path));
     } else {
-        BSQ_TRY(use_materials(scan, reader, texture_path, textures));
+        BSQ_PASS(use_materials(scan, reader, texture_path, textures));
     }
-    BSQ_TRY(whiten_colorless(scan));
+    BSQ_PASS(whiten_colorless(scan));
     note_material_colors(scan);
     warn_without_names(scan);
-    BSQ_TRY(check_channels(scan));
+    BSQ_PASS(check_channels(scan));
     scan->attributes = (scan->has_colors ? FMT_TRIS_COLORS : 0) |
                        (scan->has_normals ? FMT_TRIS_NORMALS : 0) |
                        (scan->material_count > 0 ? FMT_TRIS_MATERIALS : 0);
     if (vox_scan_find_texture(scan, false))
         scan->attributes |= FMT_TRIS_TEXCOORDS;
-done:
-    return status;
+    return 0;
 }

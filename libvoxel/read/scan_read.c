@@ -26,11 +26,10 @@ int vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limi
                                     [SCAN_COLORS] = {"colours", 4},
                                     [SCAN_TEXCOORDS] = {"texture coordinates", 8},
                                     [SCAN_NORMALS] = {"normals", 4}};
-    int status = 0;
-    for (int i = 0; i < SCAN_STREAM_COUNT && status == 0; i++)
-        status = vox_stream_init(&scan->streams[i], ctx, streams[i].what, tris_path,
-                                 streams[i].element_bytes, limits->stream_shift);
-    return status < 0 ? status : BSQ_CALLOC(ctx, "files of a scan", path_count, &scan->files);
+    for (int i = 0; i < SCAN_STREAM_COUNT; i++)
+        BSQ_PASS(vox_stream_init(&scan->streams[i], ctx, streams[i].what, tris_path,
+                                 streams[i].element_bytes, limits->stream_shift));
+    return BSQ_CALLOC(ctx, "files of a scan", path_count, &scan->files);
 }
 
 void vox_scan_free(struct scan *scan)
@@ -96,15 +95,13 @@ static int append(struct scan *scan, const struct fmt_mesh_batch *batch, enum sc
     struct attribute_stream *stream = &scan->streams[number];
     uint64_t capacity, count;
     uint8_t *to;
-    int status = 0;
     for (uint64_t first = stream->count; first < end; first += count) {
-        BSQ_TRY(reserve(scan, stream, &to, &capacity));
+        BSQ_PASS(reserve(scan, stream, &to, &capacity));
         count = end - first < capacity ? end - first : capacity;
-        BSQ_TRY(convert(scan, batch, first, count, to));
-        BSQ_TRY(vox_stream_advance(stream, count));
+        BSQ_PASS(convert(scan, batch, first, count, to));
+        BSQ_PASS(vox_stream_advance(stream, count));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* ---- positions ---- */
@@ -403,20 +400,17 @@ static void enter_file(struct scan *scan, uint32_t number)
 static int add_vertices(struct scan *scan, const struct fmt_mesh_batch *batch)
 {
     const uint64_t end = batch->vertex_base + batch->vertex_count;
-    int status;
     if (!scan->origin_known && batch->missing_positions < batch->vertex_count)
         choose_origin(scan, batch);
     scan->has_colors |= batch->colors != NULL;
-    BSQ_TRY(append(scan, batch, SCAN_POSITIONS, end, convert_positions));
+    BSQ_PASS(append(scan, batch, SCAN_POSITIONS, end, convert_positions));
     scan->merged_vertices +=
         vox_precision_count_merged(batch->positions, batch->vertex_count, scan->origin);
     if (!scan->has_colors)
         return 0;
-    BSQ_TRY(note_missing_colors(scan, batch));
+    BSQ_PASS(note_missing_colors(scan, batch));
     scan->batch_scale = batch->color_white > 0.0f ? 255.0f / batch->color_white : 0.0f;
-    status = append(scan, batch, SCAN_COLORS, end, convert_colors);
-done:
-    return status;
+    return append(scan, batch, SCAN_COLORS, end, convert_colors);
 }
 
 /* Counts the elements that a batch with some adds to its file. */
@@ -443,22 +437,20 @@ int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_batch *batch)
         return 0;
     const uint64_t texcoords = batch->texcoord_base + batch->texcoord_count;
     const uint64_t normals = batch->normal_base + batch->normal_count;
-    int status;
     if (batch->missing_positions > 0)
-        BSQ_TRY(note_missing(scan, FMT_MESH_VERTEX, batch->positions[0], 3, batch->vertex_count,
-                             batch->vertex_base));
+        BSQ_PASS(note_missing(scan, FMT_MESH_VERTEX, batch->positions[0], 3, batch->vertex_count,
+                              batch->vertex_base));
     if (batch->missing_texcoords > 0)
-        BSQ_TRY(note_missing(scan, FMT_MESH_TEXCOORD, batch->texcoords[0], 2, batch->texcoord_count,
-                             batch->texcoord_base));
+        BSQ_PASS(note_missing(scan, FMT_MESH_TEXCOORD, batch->texcoords[0], 2,
+                              batch->texcoord_count, batch->texcoord_base));
     if (batch->vertex_count > 0)
-        BSQ_TRY(add_vertices(scan, batch));
-    BSQ_TRY(append(scan, batch, SCAN_TEXCOORDS, texcoords, convert_texcoords));
-    BSQ_TRY(append(scan, batch, SCAN_NORMALS, normals, convert_normals));
+        BSQ_PASS(add_vertices(scan, batch));
+    BSQ_PASS(append(scan, batch, SCAN_TEXCOORDS, texcoords, convert_texcoords));
+    BSQ_PASS(append(scan, batch, SCAN_NORMALS, normals, convert_normals));
     if (batch->late_color_count > 0)
-        BSQ_TRY(add_late_colors(scan, batch));
+        BSQ_PASS(add_late_colors(scan, batch));
     count_elements(scan, batch);
-done:
-    return status;
+    return 0;
 }
 
 void vox_scan_prefault(struct scan *scan)
@@ -471,37 +463,34 @@ void vox_scan_prefault(struct scan *scan)
 
 int vox_scan_finish_streams(struct scan *scan)
 {
-    int status = 0;
-    for (int i = 0; status == 0 && i < SCAN_STREAM_COUNT; i++)
-        status = vox_stream_finish(&scan->streams[i]);
-    return status;
+    for (int i = 0; i < SCAN_STREAM_COUNT; i++)
+        BSQ_PASS(vox_stream_finish(&scan->streams[i]));
+    return 0;
 }
 
 int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
 {
     const struct scan_bad_index *bad = &scan->bad_index;
-    int status;
-    BSQ_TRY(vox_scan_finish_streams(scan));
+    BSQ_PASS(vox_scan_finish_streams(scan));
     enter_file(scan, scan->path_count - 1); /* the last files may be empty */
     scan->has_colors |= late_colors_fit(scan);
     for (uint64_t i = 0; i < scan->file_count; i++)
         scan->clamped_colors +=
             scan->files[i].clamped_colors[scan->files[i].largest_color > COLOR_BRIGHT];
     if (scan->clamped_colors > 0)
-        BSQ_TRY(bsq_warn_loss(scan->ctx, "%s: colours out of range were clamped at %llu %s",
-                              scan->paths[0], (unsigned long long)scan->clamped_colors,
-                              scan->clamped_colors == 1 ? "vertex" : "vertices"));
+        BSQ_PASS(bsq_warn_loss(scan->ctx, "%s: colours out of range were clamped at %llu %s",
+                               scan->paths[0], (unsigned long long)scan->clamped_colors,
+                               scan->clamped_colors == 1 ? "vertex" : "vertices"));
     if (scan->totals.unread_colors && !scan->has_colors)
-        BSQ_TRY(bsq_warn_loss(scan->ctx, "%s: %s", scan->paths[0], scan->totals.unread_colors));
-    BSQ_TRY(vox_precision_warn_merged(scan->ctx, scan->paths[0], scan->merged_vertices,
-                                      scan->bounds_min, scan->bounds_max));
+        BSQ_PASS(bsq_warn_loss(scan->ctx, "%s: %s", scan->paths[0], scan->totals.unread_colors));
+    BSQ_PASS(vox_precision_warn_merged(scan->ctx, scan->paths[0], scan->merged_vertices,
+                                       scan->bounds_min, scan->bounds_max));
     if (scan->totals.faces == 0)
         return fmt_mesh_fail_no_faces(scan->ctx, scan->paths[0], &scan->totals);
     if (bad->found)
         return fmt_mesh_fail_index(reader, bad->face, bad->kind, bad->index);
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
-        BSQ_TRY(fmt_mesh_report_loss(reader, (enum fmt_mesh_kind)kind, &scan->lost[kind],
-                                     scan->totals.faces));
-done:
-    return status;
+        BSQ_PASS(fmt_mesh_report_loss(reader, (enum fmt_mesh_kind)kind, &scan->lost[kind],
+                                      scan->totals.faces));
+    return 0;
 }

@@ -26,18 +26,16 @@ static int enter(struct bsq_ctx *ctx, struct scan_textures *textures, const char
                  const struct fmt_material *material, const char *place)
 {
     uint64_t number;
-    int status;
-    BSQ_TRY(bsq_texts_add(ctx, &textures->tally, &textures->paths, path, &number));
-    BSQ_TRY(bsq_tally_grow(ctx, &textures->tally, textures->paths.count, sizeof *textures->list,
-                           &textures->list, &textures->capacity));
+    BSQ_PASS(bsq_texts_add(ctx, &textures->tally, &textures->paths, path, &number));
+    BSQ_PASS(bsq_tally_grow(ctx, &textures->tally, textures->paths.count, sizeof *textures->list,
+                            &textures->list, &textures->capacity));
     struct scan_texture *texture = &textures->list[number];
     if (number == textures->count)
         textures->list[textures->count++] =
             (struct scan_texture){.first = material, .latest = material, .place = place};
     texture->others += texture->latest != material;
     texture->latest = material;
-done:
-    return status;
+    return 0;
 }
 
 /* ---- checking ---- */
@@ -155,17 +153,15 @@ static struct fmt_material_channel *textured_channel(const struct scan_textures 
 static int enter_material(struct bsq_ctx *ctx, struct fmt_material *material, bool has_texcoords,
                           struct scan_textures *textures)
 {
-    int status = 0;
     for (uint32_t c = 0; c <= material->channel_count; c++) {
         const struct fmt_material_channel *channel = textured_channel(textures, material, c);
         if (channel && channel->texture_place)
-            BSQ_TRY(fmt_note_texture(ctx, channel->texture_path, "the texture that %s names",
-                                     channel->texture_place));
+            BSQ_PASS(fmt_note_texture(ctx, channel->texture_path, "the texture that %s names",
+                                      channel->texture_place));
         if (channel && has_texcoords)
-            BSQ_TRY(enter(ctx, textures, channel->texture_path, material, channel->texture_place));
+            BSQ_PASS(enter(ctx, textures, channel->texture_path, material, channel->texture_place));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Takes the textures that cannot be used from a material. */
@@ -185,24 +181,19 @@ static void drop_bad(struct bsq_ctx *ctx, const struct scan_textures *textures,
 int vox_textures_check(struct bsq_ctx *ctx, struct fmt_materials *materials, bool has_texcoords,
                        struct scan_textures *textures)
 {
-    int status = 0;
     for (uint32_t i = 0; i < materials->count; i++)
-        BSQ_TRY(enter_material(ctx, &materials->list[i], has_texcoords, textures));
-    BSQ_TRY(check_new(ctx, textures));
+        BSQ_PASS(enter_material(ctx, &materials->list[i], has_texcoords, textures));
+    BSQ_PASS(check_new(ctx, textures));
     for (uint32_t i = 0; i < materials->count && has_texcoords; i++)
         drop_bad(ctx, textures, &materials->list[i]);
-done:
-    return status;
+    return 0;
 }
 
 int vox_textures_check_image(struct bsq_ctx *ctx, const char *path, struct scan_textures *textures)
 {
-    int status;
-    BSQ_TRY(fmt_note_texture(ctx, path, "the texture"));
-    BSQ_TRY(enter(ctx, textures, path, NULL, NULL));
-    status = check_new(ctx, textures);
-done:
-    return status;
+    BSQ_PASS(fmt_note_texture(ctx, path, "the texture"));
+    BSQ_PASS(enter(ctx, textures, path, NULL, NULL));
+    return check_new(ctx, textures);
 }
 
 /* Returns what of a channel of a material cannot be used, or NULL. */
@@ -278,9 +269,7 @@ static int add_alpha(struct bsq_ctx *ctx, const struct fmt_channel *channel, con
     int status = fmt_material_enter_channel(ctx, material, channel, &entry);
     if (status < 0 || entry->texture_path)
         return status;
-    status = bsq_text_copy(ctx, path, &entry->texture_path);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bsq_text_copy(ctx, path, &entry->texture_path));
     if (entry->has_value && entry->value[0] != entry->factor[0] && !material->cutout)
         *lost = material;
     entry->component = material->cutout ? FMT_CHANNEL_CUTOUT : FMT_CHANNEL_ALPHA;

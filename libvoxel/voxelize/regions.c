@@ -105,10 +105,8 @@ static int begin_region(struct vox_run *run)
     vox_region_origin(key, region->origin);
     region->chunk_count = 0;
     while (vox_schedule_chunk(run->schedule, &chunk, &after)) {
-        int status = BSQ_GROW(run->ctx, "region's chunks", region->chunk_count + 1, &region->chunks,
-                              &region->chunk_capacity);
-        if (status < 0)
-            return status;
+        BSQ_PASS(BSQ_GROW(run->ctx, "region's chunks", region->chunk_count + 1, &region->chunks,
+                          &region->chunk_capacity));
         region->chunks[region->chunk_count++] = chunk;
         vox_chunks_expect(run->chunks, chunk, run->slabs, after);
     }
@@ -262,9 +260,7 @@ static int reserve_result(struct vox_run *run, struct vox_unit *unit,
 static int keep_result(struct vox_run *run, struct vox_unit *unit, struct vox_accumulator *sums)
 {
     vox_accumulator_settle(sums);
-    int status = reserve_result(run, unit, sums);
-    if (status < 0)
-        return status;
+    BSQ_PASS(reserve_result(run, unit, sums));
     return vox_accumulator_finish(sums, &run->shading.tables, &unit->leaves);
 }
 

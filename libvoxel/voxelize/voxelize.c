@@ -141,10 +141,9 @@ static int open_input(struct vox_run *run)
     const char *path = run->options->tris_path;
     const struct vox_temp_tris *temp = run->options->temp_tris;
     const uint32_t parts = run->options->part_paths ? run->options->part_count : 0;
-    int status;
-    BSQ_TRY(temp || parts > 0 ? fmt_tris_open_parts(run->ctx, run->options->part_paths, parts,
-                                                    temp ? &temp->file : NULL, &run->file)
-                              : fmt_tris_open(run->ctx, path, &run->file));
+    BSQ_PASS(temp || parts > 0 ? fmt_tris_open_parts(run->ctx, run->options->part_paths, parts,
+                                                     temp ? &temp->file : NULL, &run->file)
+                               : fmt_tris_open(run->ctx, path, &run->file));
     run->header = fmt_tris_get_header(run->file);
     if (run->header->triangle_count == 0)
         return bsq_fail(run->ctx, BSQ_EDATA, "%s: the scan has no triangles", path);
@@ -152,13 +151,11 @@ static int open_input(struct vox_run *run)
         return bsq_fail(run->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks are too many", path,
                         run->header->chunk_count);
     if (run->options->ids)
-        BSQ_TRY(fmt_tris_require_ids(run->file));
-    BSQ_TRY(voxelize_choose_channels(run));
-    BSQ_TRY(voxelize_check_channels(run));
-    status = vox_transform_init(run->ctx, run->header, path, run->options->resolution,
-                                run->options->voxel_size, &run->transform);
-done:
-    return status;
+        BSQ_PASS(fmt_tris_require_ids(run->file));
+    BSQ_PASS(voxelize_choose_channels(run));
+    BSQ_PASS(voxelize_check_channels(run));
+    return vox_transform_init(run->ctx, run->header, path, run->options->resolution,
+                              run->options->voxel_size, &run->transform);
 }
 
 /* Refuses a grid that does not fit on its disk or in the format, and warns of lost precision. */
@@ -179,9 +176,7 @@ static int voxelize_find_boxes(struct vox_run *run)
 {
     uint64_t count = run->header->chunk_count;
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(run->file);
-    int status = BSQ_ALLOC(run->ctx, "chunk bounds", count, &run->bounds);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_ALLOC(run->ctx, "chunk bounds", count, &run->bounds));
     for (uint64_t i = 0; i < count; i++)
         run->bounds[i] =
             vox_transform_box(&run->transform, infos[i].bounds_min, infos[i].bounds_max);
@@ -208,13 +203,10 @@ static int voxelize_choose_normals(struct vox_run *run)
 
 static int open_run(struct vox_run *run)
 {
-    int status;
-    BSQ_TRY(open_input(run));
-    BSQ_TRY(voxelize_choose_normals(run));
-    BSQ_TRY(voxelize_find_boxes(run));
-    status = check_grid(run);
-done:
-    return status;
+    BSQ_PASS(open_input(run));
+    BSQ_PASS(voxelize_choose_normals(run));
+    BSQ_PASS(voxelize_find_boxes(run));
+    return check_grid(run);
 }
 
 /* ---- what the pipeline needs ---- */
@@ -233,19 +225,17 @@ static uint32_t choose_slabs(double regions, unsigned workers)
 static int make_workers(struct vox_run *run)
 {
     const uint64_t count = UINT64_C(1) * UNITS_PER_WORKER * run->workers;
-    int status;
-    BSQ_TRY(BSQ_CALLOC(run->ctx, "workers", run->workers, &run->own));
+    BSQ_PASS(BSQ_CALLOC(run->ctx, "workers", run->workers, &run->own));
     for (struct vox_worker *own = run->own; own < run->own + run->workers; own++) {
-        BSQ_TRY(vox_accumulator_create(run->ctx, run->shares.accumulator_bytes, sums_of(run),
-                                       &own->sums));
-        BSQ_TRY(bsq_alloc(run->ctx, "fragments", vox_fragment_block_bytes(), 1, &own->block));
+        BSQ_PASS(vox_accumulator_create(run->ctx, run->shares.accumulator_bytes, sums_of(run),
+                                        &own->sums));
+        BSQ_PASS(bsq_alloc(run->ctx, "fragments", vox_fragment_block_bytes(), 1, &own->block));
     }
-    BSQ_TRY(BSQ_CALLOC(run->ctx, "workers", count, &run->units));
+    BSQ_PASS(BSQ_CALLOC(run->ctx, "workers", count, &run->units));
     run->unit_count = (unsigned)count;
     for (unsigned i = 0; i < run->unit_count; i++)
         vox_leaves_init(&run->units[i].leaves, run->ctx);
-done:
-    return status;
+    return 0;
 }
 
 /* Adds the channels of a list, each of which must be there once only. */
@@ -269,37 +259,32 @@ static int voxelize_add_attributes(struct vox_run *run)
 {
     const struct vox_voxelize_options *options = run->options;
     struct fmt_shading *shading = &run->shading.scan;
-    int status = 0;
     *shading = (struct fmt_shading){
         .ctx = run->ctx, .path = options->tris_path, .file = run->file, .header = run->header};
-    BSQ_TRY(fmt_shading_add_color(shading));
+    BSQ_PASS(fmt_shading_add_color(shading));
     if (options->ids)
-        BSQ_TRY(fmt_shading_add_ids(shading));
+        BSQ_PASS(fmt_shading_add_ids(shading));
     if (run->channels)
-        BSQ_TRY(add_channels(run, shading));
-    status = fmt_shading_add_normal_map(shading, options->scan_normal_map);
-done:
-    return status;
+        BSQ_PASS(add_channels(run, shading));
+    return fmt_shading_add_normal_map(shading, options->scan_normal_map);
 }
 
 static int set_up(struct vox_run *run)
 {
     struct vox_shading *shading = &run->shading;
-    int status = 0;
-    BSQ_TRY(vox_schedule_create(run->ctx, run->boxes, run->box_count, &run->schedule));
-    BSQ_TRY(voxelize_add_attributes(run));
+    BSQ_PASS(vox_schedule_create(run->ctx, run->boxes, run->box_count, &run->schedule));
+    BSQ_PASS(voxelize_add_attributes(run));
     malloc_trim(0); /* what sorting has freed counts as resident until then */
-    BSQ_TRY(voxelize_divide_memory(run, &run->shares));
+    BSQ_PASS(voxelize_divide_memory(run, &run->shares));
     if (run->shares.texture_bytes > 0)
-        BSQ_TRY(fmt_shading_open_textures(&shading->scan, run->shares.texture_bytes));
-    BSQ_TRY(vox_shading_prepare(shading));
-    BSQ_TRY(vox_chunks_create(run->ctx, run->file, &run->transform, run->boxes, run->box_count,
-                              run->smooth, (uint32_t)run->shares.cache_slots, &run->chunks));
-    BSQ_TRY(make_workers(run));
+        BSQ_PASS(fmt_shading_open_textures(&shading->scan, run->shares.texture_bytes));
+    BSQ_PASS(vox_shading_prepare(shading));
+    BSQ_PASS(vox_chunks_create(run->ctx, run->file, &run->transform, run->boxes, run->box_count,
+                               run->smooth, (uint32_t)run->shares.cache_slots, &run->chunks));
+    BSQ_PASS(make_workers(run));
     run->slabs = choose_slabs(vox_region_count(&run->transform.voxels), run->workers);
     run->next_slab = run->slabs;
-done:
-    return status;
+    return 0;
 }
 
 /* Frees what the pipeline needed: joining the sections of a grid needs memory too. */
@@ -414,12 +399,11 @@ done:
 
 static int note_outputs(struct bsq_ctx *ctx, const struct vox_voxelize_options *options)
 {
-    int status = options->vdb_path ? vox_check_export(ctx) : 0;
-    if (status == 0)
-        status = bsq_note_output(ctx, options->grid_path);
-    if (status == 0 && options->vdb_path)
-        status = bsq_note_output(ctx, options->vdb_path);
-    return status;
+    BSQ_PASS(options->vdb_path ? vox_check_export(ctx) : 0);
+    BSQ_PASS(bsq_note_output(ctx, options->grid_path));
+    if (options->vdb_path)
+        BSQ_PASS(bsq_note_output(ctx, options->vdb_path));
+    return 0;
 }
 
 /* ---- the whole ---- */

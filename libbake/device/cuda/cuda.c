@@ -344,18 +344,15 @@ static struct bake_failure cuda_open_context(struct cuda *cuda)
 static int cuda_open(struct bake_gpu *gpu, uint32_t number, const struct bake_job *job)
 {
     struct cuda *cuda = (struct cuda *)gpu;
-    int status;
-    BSQ_TRY(cuda_open_driver(gpu->ctx, number, &cuda->api, &cuda->device));
+    BSQ_PASS(cuda_open_driver(gpu->ctx, number, &cuda->api, &cuda->device));
     snprintf(gpu->device_name, sizeof gpu->device_name, "%s", cuda->device.name);
     snprintf(gpu->name, sizeof gpu->name, "%.110s (CUDA)", cuda->device.name);
     gpu->buffer_bytes = gpu->array_bytes = UINT64_MAX;
-    BSQ_TRY(bake_gpu_fail(gpu, cuda_open_context(cuda)));
-    BSQ_TRY(load_kernel(cuda, BAKE_PATCH));
+    BSQ_PASS(bake_gpu_fail(gpu, cuda_open_context(cuda)));
+    BSQ_PASS(load_kernel(cuda, BAKE_PATCH));
     if (bake_ray_count(&job->params) > 0)
-        BSQ_TRY(load_kernel(cuda, BAKE_LOOK));
-    status = bake_gpu_fail(gpu, free_memory(cuda, &gpu->memory_bytes));
-done:
-    return status;
+        BSQ_PASS(load_kernel(cuda, BAKE_LOOK));
+    return bake_gpu_fail(gpu, free_memory(cuda, &gpu->memory_bytes));
 }
 
 static void cuda_close(struct bake_gpu *gpu)

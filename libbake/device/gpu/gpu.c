@@ -117,18 +117,15 @@ static int gpu_flush(struct bake_gpu *gpu)
     struct bake_stream *stream = upload_stream(gpu);
     const unsigned half = gpu->filling;
     const uint64_t bytes = gpu->used;
-    int status;
     if (bytes == 0)
         return 0;
     gpu->used = 0;
     gpu->filling ^= 1;
-    BSQ_TRY(note_failure(gpu, gpu->driver->send(gpu, stream, stream->host[half], bytes,
-                                                gpu->upload_to, gpu->upload_at, (int)half)));
+    BSQ_PASS(note_failure(gpu, gpu->driver->send(gpu, stream, stream->host[half], bytes,
+                                                 gpu->upload_to, gpu->upload_at, (int)half)));
     gpu->upload_at += bytes;
-    BSQ_TRY(note_failure(gpu, gpu->driver->wait(gpu, stream, (int)half ^ 1)));
-    status = bsq_check(gpu->ctx);
-done:
-    return status;
+    BSQ_PASS(note_failure(gpu, gpu->driver->wait(gpu, stream, (int)half ^ 1)));
+    return bsq_check(gpu->ctx);
 }
 
 struct copy {
@@ -201,14 +198,13 @@ done:
 static int gpu_load_grid(struct bake_gpu *gpu, const struct bake_grid_arrays *grid,
                          const char **what)
 {
-    int status;
     *what = "memory that the device shares";
     if (gpu->shares_memory)
-        BSQ_TRY(gpu_reserve(gpu, "grid on a device that shares host memory", grid->bytes));
+        BSQ_PASS(gpu_reserve(gpu, "grid on a device that shares host memory", grid->bytes));
     gpu->params = grid->params;
     for (int i = 0; i < BAKE_GRID_ARRAYS; i++) {
         *what = grid->arrays[i].name;
-        BSQ_TRY(
+        BSQ_PASS(
             note_failure(gpu, gpu->driver->allocate(gpu, grid->arrays[i].bytes, &gpu->arrays[i])));
     }
     for (int i = 0; i < BAKE_GRID_ARRAYS; i++) {
@@ -216,12 +212,10 @@ static int gpu_load_grid(struct bake_gpu *gpu, const struct bake_grid_arrays *gr
         *what = array->name;
         begin_upload(gpu, gpu->arrays[i]);
         for (int k = 0; k < BAKE_ARRAY_PARTS; k++)
-            BSQ_TRY(gpu_put(gpu, array->parts[k].data, array->parts[k].bytes));
-        BSQ_TRY(gpu_flush(gpu));
+            BSQ_PASS(gpu_put(gpu, array->parts[k].data, array->parts[k].bytes));
+        BSQ_PASS(gpu_flush(gpu));
     }
-    status = finish_upload(gpu);
-done:
-    return status;
+    return finish_upload(gpu);
 }
 
 /* Describes a failure in `why`, after the part of the work that it belongs to. */
@@ -452,36 +446,30 @@ static int create_streams(struct bake_gpu *gpu)
     const uint64_t samples = sample_bytes(gpu, gpu->patch_texels);
     const uint64_t texels = texel_bytes(gpu, gpu->patch_texels);
     const uint64_t host = samples > texels ? samples : texels;
-    int status;
-    BSQ_TRY(BSQ_CALLOC(gpu->ctx, "streams of the device", count, &gpu->streams));
-    BSQ_TRY(
+    BSQ_PASS(BSQ_CALLOC(gpu->ctx, "streams of the device", count, &gpu->streams));
+    BSQ_PASS(
         bsq_calloc(gpu->ctx, "streams of the device", count, stream_bytes, &gpu->stream_memory));
     for (unsigned i = 0; i < count; i++)
         gpu->streams[i] = (struct bake_stream){
             .own = gpu->stream_memory + i * stream_bytes, .host_count = 1, .host_bytes = host};
     upload_stream(gpu)->host_count = 2;
     upload_stream(gpu)->host_bytes = STAGING_BYTES;
-    status = gpu_reserve(gpu, "page-locked memory",
-                         gpu->worker_count * host + 2 * (uint64_t)STAGING_BYTES);
-done:
-    return status;
+    return gpu_reserve(gpu, "page-locked memory",
+                       gpu->worker_count * host + 2 * (uint64_t)STAGING_BYTES);
 }
 
 /* Prepares an opened device for a job and uploads the low-poly mesh. */
 static int gpu_prepare(struct bake_gpu *gpu, const struct bake_job *job)
 {
-    int status;
     gpu->params = job->params;
     gpu->patch_texels = job->patch_texels;
     gpu->worker_count = bsq_threads(gpu->ctx);
-    BSQ_TRY(create_streams(gpu));
-    BSQ_TRY(share_memory(gpu, job));
+    BSQ_PASS(create_streams(gpu));
+    BSQ_PASS(share_memory(gpu, job));
     struct bake_stream *upload = upload_stream(gpu);
     upload->open = true;
-    BSQ_TRY(bake_gpu_fail(gpu, gpu->driver->open_stream(gpu, upload)));
-    status = send_triangles(gpu, job);
-done:
-    return status;
+    BSQ_PASS(bake_gpu_fail(gpu, gpu->driver->open_stream(gpu, upload)));
+    return send_triangles(gpu, job);
 }
 
 int bake_gpu_open(struct bsq_ctx *ctx, const struct bake_driver *driver, uint32_t number,

@@ -47,9 +47,7 @@ int bake_native_trace(struct bake_native *native, const struct bk_patch *patch,
 
     for (uint32_t row = 0; row < patch->height; row += rows) {
         const uint32_t end = patch->height - row < rows ? patch->height : row + rows;
-        int status = bsq_check(native->ctx);
-        if (status < 0)
-            return status;
+        BSQ_PASS(bsq_check(native->ctx));
         native->patch(&native->grid, &native->params, native->triangles, patch, row, end,
                       sample_triangles, &memory, texels);
     }
@@ -116,13 +114,10 @@ int bake_native_workers_create(struct bsq_ctx *ctx, const struct bk_params *para
                                struct bake_native_workers *out)
 {
     const unsigned threads = bsq_threads(ctx);
-    int status;
 
     *out = (struct bake_native_workers){.results_each = native_results(params)};
-    status = BSQ_ALLOC(ctx, "results of rays", threads * out->results_each, &out->results);
-    if (status == 0)
-        status = BSQ_ALLOC(ctx, "streams of rays", threads, &out->streams);
-    return status;
+    BSQ_PASS(BSQ_ALLOC(ctx, "results of rays", threads * out->results_each, &out->results));
+    return BSQ_ALLOC(ctx, "streams of rays", threads, &out->streams);
 }
 
 void bake_native_workers_free(struct bsq_ctx *ctx, struct bake_native_workers *workers)

@@ -263,21 +263,17 @@ static struct bake_failure opencl_open_context(struct opencl *cl)
 static int opencl_open(struct bake_gpu *gpu, uint32_t number, const struct bake_job *job)
 {
     struct opencl *cl = (struct opencl *)gpu;
-    int status;
     (void)job;
     if (!bake_opencl_load(&cl->api) || !bake_opencl_device(&cl->api, number, &cl->device))
-        BSQ_TRY(
-            bsq_fail(gpu->ctx, BSQ_ENODEVICE, "opencl:%u: the device is gone", (unsigned)number));
+        return bsq_fail(gpu->ctx, BSQ_ENODEVICE, "opencl:%u: the device is gone", (unsigned)number);
     snprintf(gpu->device_name, sizeof gpu->device_name, "%s", cl->device.name);
     snprintf(gpu->name, sizeof gpu->name, "%s", cl->device.name);
     gpu->shares_memory = cl->device.host_memory;
     gpu->memory_bytes = memory_limit(cl);
     gpu->buffer_bytes = cl->device.buffer_bytes;
     gpu->array_bytes = gpu->buffer_bytes < ARRAY_MOST ? gpu->buffer_bytes : ARRAY_MOST;
-    BSQ_TRY(bake_gpu_fail(gpu, opencl_open_context(cl)));
-    status = bake_opencl_build(gpu->ctx, &cl->api, &cl->device, cl->context, &cl->program);
-done:
-    return status;
+    BSQ_PASS(bake_gpu_fail(gpu, opencl_open_context(cl)));
+    return bake_opencl_build(gpu->ctx, &cl->api, &cl->device, cl->context, &cl->program);
 }
 
 static void opencl_close(struct bake_gpu *gpu)

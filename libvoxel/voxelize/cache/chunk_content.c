@@ -345,9 +345,7 @@ int vox_chunk_make(const struct vox_chunk_source *from, uint32_t number,
                    struct vox_chunk_content *content)
 {
     content->layout = layout_of(from, number);
-    const int status = fmt_tris_load(from->file, number, content->memory, &content->chunk.source);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_tris_load(from->file, number, content->memory, &content->chunk.source));
     find_groups(from, content);
     return content_finish(from, number, content);
 }

@@ -29,24 +29,22 @@ int vox_shading_prepare(struct vox_shading *shading)
 {
     const struct fmt_shading *scan = &shading->scan;
     const uint32_t materials = scan->header->material_count;
-    int status = 0;
     vox_color_tables_init(&shading->tables);
     for (uint32_t a = FMT_SHADING_CHANNELS; a < scan->attribute_count; a++)
         shading->channel_words += scan->attributes[a].row->values;
     if (shading->channel_words > 0)
-        BSQ_TRY(bsq_alloc(scan->ctx, "channels", materials + UINT64_C(1),
-                          shading->channel_words * sizeof *shading->channels, &shading->channels));
+        BSQ_PASS(bsq_alloc(scan->ctx, "channels", materials + UINT64_C(1),
+                           shading->channel_words * sizeof *shading->channels, &shading->channels));
     if (scan->textures)
-        BSQ_TRY(BSQ_CALLOC(scan->ctx, "textured materials", materials + UINT64_C(1),
-                           &shading->textured));
+        BSQ_PASS(BSQ_CALLOC(scan->ctx, "textured materials", materials + UINT64_C(1),
+                            &shading->textured));
     for (uint64_t m = 0; m <= materials; m++) {
         if (shading->channels)
             set_channels(shading, (uint32_t)m);
         for (uint32_t a = 0; shading->textured && a < scan->attribute_count; a++)
             shading->textured[m] |= fmt_shading_is_textured(scan, a, (uint32_t)m);
     }
-done:
-    return status;
+    return 0;
 }
 
 void vox_shading_free(struct vox_shading *shading)

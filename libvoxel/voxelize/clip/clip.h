@@ -293,9 +293,7 @@ CLIP_INLINE int clip_cut(struct clip_state *c, const struct clip_polygon *p, int
         if (i < from)
             continue;
         c->cell[axis] = i;
-        int status = next(c, current, sink);
-        if (status != 0)
-            return status;
+        BSQ_PASS(next(c, current, sink));
     }
     return 0;
 }

@@ -150,8 +150,8 @@ static int placement_add_run(struct maker *maker, uint32_t number,
     if (end - begin == 1 || maker->count >= maker->most || !is_wide(&box))
         return placement_add_box(maker, number, &box);
     uint32_t middle = begin + (end - begin) / 2;
-    int status = placement_add_run(maker, number, chunk, begin, middle);
-    return status < 0 ? status : placement_add_run(maker, number, chunk, middle, end);
+    BSQ_PASS(placement_add_run(maker, number, chunk, begin, middle));
+    return placement_add_run(maker, number, chunk, middle, end);
 }
 
 int vox_chunk_boxes_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,

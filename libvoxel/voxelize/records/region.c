@@ -291,19 +291,18 @@ static int grow_leaves(struct vox_leaves *l, uint64_t leaves, const uint64_t rec
 {
     const char *what = "voxel records";
     const uint64_t bytes = l->channel_words * sizeof *l->sides->channels;
-    int status = 0;
     leaves += l->leaf_count;
-    BSQ_TRY(BSQ_GROW(l->ctx, what, leaves, &l->ids, &l->id_capacity));
-    BSQ_TRY(BSQ_GROW(l->ctx, what, leaves, &l->masks, &l->mask_capacity));
+    BSQ_PASS(BSQ_GROW(l->ctx, what, leaves, &l->ids, &l->id_capacity));
+    BSQ_PASS(BSQ_GROW(l->ctx, what, leaves, &l->masks, &l->mask_capacity));
     for (int s = 0; s < 2; s++) {
         struct vox_records *side = &l->sides[s];
         const uint64_t count = side->count + records[s];
-        BSQ_TRY(BSQ_GROW(l->ctx, what, count, &side->records, &side->capacity));
+        BSQ_PASS(BSQ_GROW(l->ctx, what, count, &side->records, &side->capacity));
         if (bytes > 0)
-            BSQ_TRY(bsq_grow(l->ctx, what, count, bytes, &side->channels, &side->channel_capacity));
+            BSQ_PASS(
+                bsq_grow(l->ctx, what, count, bytes, &side->channels, &side->channel_capacity));
     }
-done:
-    return status;
+    return 0;
 }
 
 uint64_t vox_accumulator_result_bytes(const struct vox_accumulator *a, const struct vox_leaves *l)
@@ -319,9 +318,7 @@ int vox_accumulator_finish(const struct vox_accumulator *a, const struct vox_col
 {
     const uint64_t records[2] = {a->sum_count - a->spare_count - a->second_count, a->second_count};
     l->channel_words = a->channel_words;
-    int status = grow_leaves(l, a->brick_count, records);
-    if (status < 0)
-        return status;
+    BSQ_PASS(grow_leaves(l, a->brick_count, records));
     if (a->brick_count > 0)
         for (uint32_t brick = 0; brick < VOX_BRICKS; brick++)
             if (a->brick_of[brick] != 0)
