@@ -205,7 +205,6 @@ int bake_exact_look_from(struct bake_exact_look *look, const struct bake_viewpoi
 {
     struct pass pass = {.look = look, .viewpoints = viewpoints, .states = states};
     uint32_t count = look->exact->chunk_count, fitting;
-    int status = 0;
     if (look->whole)
         for (uint32_t c = 0; c < count; c++)
             look->reached[c] = c;
@@ -216,8 +215,8 @@ int bake_exact_look_from(struct bake_exact_look *look, const struct bake_viewpoi
     for (uint32_t c = 0; c < count; c += fitting, pass.step++) {
         fitting = count_fitting(look, look->reached + c, count - c);
         if (!look->whole || look->loaded == 0)
-            BSQ_TRY(look_load_group(&pass, look->reached + c, fitting));
-        BSQ_TRY(
+            BSQ_PASS(look_load_group(&pass, look->reached + c, fitting));
+        BSQ_PASS(
             bsq_parallel_ranges(look->exact->ctx, viewpoints->count, BLOCK, trace_block, &pass));
     }
     return 0;
@@ -243,7 +242,6 @@ static int look_allocate(struct bake_exact_look *look)
     const uint64_t share = bsq_memory_share(ctx, "chunks for secondary rays", 3);
     uint64_t all = 0, largest = 0;
     uint32_t triangles = 0;
-    int status = 0;
     for (uint32_t c = 0; c < exact->chunk_count; c++) {
         const uint64_t bytes = leaves_bytes(look, c);
         all += bytes;
@@ -260,18 +258,14 @@ static int look_allocate(struct bake_exact_look *look)
                    left = share > scratch + largest ? share - scratch : largest;
     look->bytes = all < left ? all : left;
     look->whole = look->bytes == all;
-    BSQ_TRY(bsq_alloc(ctx, "chunks for secondary rays", look->bytes, 1, &look->memory));
-    BSQ_TRY(bsq_alloc(ctx, "chunks for secondary rays", scratch, 1, &look->scratch));
-    BSQ_TRY(bsq_alloc(ctx, "chunks for secondary rays", exact->chunk_count,
-                      sizeof *look->group.chunks, &look->group.chunks));
-    BSQ_TRY(bsq_alloc(ctx, "tree of chunks", bake_exact_tree_bytes(exact->chunk_count), 1,
-                      &look->tree_memory));
-    BSQ_TRY(
-        bsq_alloc(ctx, "tree of chunks", exact->chunk_count, sizeof *look->boxes, &look->boxes));
-    BSQ_TRY(bsq_alloc(ctx, "chunks near rays", exact->chunk_count, sizeof *look->reached,
-                      &look->reached));
-done:
-    return status;
+    BSQ_PASS(bsq_alloc(ctx, "chunks for secondary rays", look->bytes, 1, &look->memory));
+    BSQ_PASS(bsq_alloc(ctx, "chunks for secondary rays", scratch, 1, &look->scratch));
+    BSQ_PASS(BSQ_ALLOC(ctx, "chunks for secondary rays", exact->chunk_count, &look->group.chunks));
+    BSQ_PASS(bsq_alloc(ctx, "tree of chunks", bake_exact_tree_bytes(exact->chunk_count), 1,
+                       &look->tree_memory));
+    BSQ_PASS(BSQ_ALLOC(ctx, "tree of chunks", exact->chunk_count, &look->boxes));
+    BSQ_PASS(BSQ_ALLOC(ctx, "chunks near rays", exact->chunk_count, &look->reached));
+    return 0;
 }
 
 int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *params,
@@ -282,7 +276,7 @@ int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *par
     BSQ_PASS(BSQ_CALLOC(exact->ctx, "secondary rays", 1, &look));
     look->exact = exact;
     look->params = params;
-    status = look_allocate(look);
+    const int status = look_allocate(look);
     if (status < 0)
         bake_exact_look_free(look);
     else
@@ -295,11 +289,6 @@ void bake_exact_look_free(struct bake_exact_look *look)
     if (!look)
         return;
     struct bsq_ctx *ctx = look->exact->ctx;
-    bsq_free(ctx, look->memory);
-    bsq_free(ctx, look->scratch);
-    bsq_free(ctx, look->group.chunks);
-    bsq_free(ctx, look->tree_memory);
-    bsq_free(ctx, look->boxes);
-    bsq_free(ctx, look->reached);
-    bsq_free(ctx, look);
+    BSQ_FREE(ctx, look->memory, look->scratch, look->group.chunks, look->tree_memory, look->boxes,
+             look->reached, look);
 }
