@@ -352,7 +352,8 @@ static void push_edge(struct collapse *c, uint32_t u, uint32_t v, double cost)
     push(c, (struct candidate){(uint64_t)bits << 32 | low, high, c->stamps[u] + c->stamps[v]});
 }
 
-/* Adds the edges of a vertex, or only those to vertices with higher numbers. */
+/* Adds the edges of a vertex, or only those to vertices with higher numbers. Ends early after an
+ * interruption: many edges of one vertex take long. */
 static void push_edges(struct collapse *c, uint32_t vertex, bool higher)
 {
     struct result result;
@@ -363,6 +364,8 @@ static void push_edges(struct collapse *c, uint32_t vertex, bool higher)
             if (c->rings.marks[ends[i]] == seen || (higher && ends[i] < vertex))
                 continue;
             c->rings.marks[ends[i]] = seen;
+            if (bsq_check(c->rings.ctx) < 0)
+                return;
             if (evaluate(c, vertex, ends[i], &result))
                 push_edge(c, vertex, ends[i], result.cost);
         }
@@ -668,19 +671,19 @@ static int collapse_edges(struct collapse *c)
     while (r->alive > c->target && r->alive < before_pass) {
         before_pass = r->alive;
         for (uint32_t v = 0; v < r->mesh->vertex_count; v++) {
-            if (v % VOX_CHECK_EVERY == 0 && bsq_check(r->ctx) < 0)
+            if (bsq_check(r->ctx) < 0)
                 return BSQ_EINTR;
             if (vox_first_corner(r, v) != VOX_NONE)
                 push_edges(c, v, true);
         }
         for (uint64_t i = 0; c->heap_count > 0 && r->alive > c->target; i++) {
-            const int status = collapse_next(c);
+            int status = collapse_next(c);
+            if (status == 0)
+                status = bsq_check(r->ctx);
             if (status < 0)
                 return status;
             if (i % VOX_CHECK_EVERY != 0)
                 continue;
-            if (bsq_check(r->ctx) < 0)
-                return BSQ_EINTR;
             bsq_progress_add(r->ctx, reported - r->alive);
             reported = r->alive;
         }

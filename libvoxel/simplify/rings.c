@@ -30,13 +30,26 @@ static int link_corners(struct vox_rings *r)
     return bsq_check(r->ctx);
 }
 
+/* Returns the end of an edge that has fewer triangles: walks along both rings until one ends. */
+static uint32_t with_shorter_ring(struct vox_rings *r, uint32_t u, uint32_t v)
+{
+    const uint32_t at_u = vox_first_corner(r, u), at_v = vox_first_corner(r, v);
+    uint32_t j = at_u, k = at_v;
+    do {
+        j = vox_next_corner(r, j);
+        k = vox_next_corner(r, k);
+    } while (j != at_u && k != at_v);
+    return j == at_u ? u : v;
+}
+
 bool vox_rings_is_border(struct vox_rings *r, uint32_t u, uint32_t v)
 {
     const uint32_t *materials = r->mesh->materials;
+    const uint32_t near = with_shorter_ring(r, u, v), far = near == u ? v : u;
     uint32_t count = 0, first = 0;
     bool differ = false;
-    for (VOX_EACH_CORNER(r, u, k)) {
-        if (vox_after(r, k) != v && vox_before(r, k) != v)
+    for (VOX_EACH_CORNER(r, near, k)) {
+        if (vox_after(r, k) != far && vox_before(r, k) != far)
             continue;
         if (count++ == 0)
             first = k / VOX_RING_WORDS;
@@ -104,8 +117,7 @@ int vox_rings_build(struct bsq_ctx *ctx, struct vox_mesh *mesh, bool lock_border
     BSQ_TRY(bsq_calloc(ctx, what, vertices, sizeof *r->flags, &r->flags));
     BSQ_TRY(link_corners(r));
     for (uint32_t v = 0; v < vertices; v++) {
-        if (v % VOX_CHECK_EVERY == 0)
-            BSQ_TRY(bsq_check(ctx));
+        BSQ_TRY(bsq_check(ctx));
         flag_vertex(r, v, lock_borders ? VOX_BORDER | VOX_LOCKED : VOX_BORDER);
     }
 done:

@@ -172,7 +172,7 @@ static uint32_t run_pass(struct thinning *thinning, float threshold, uint32_t ta
     const uint32_t before = r->alive;
     for (uint32_t v = 0; v < r->mesh->vertex_count && r->alive > target; v++) {
         uint32_t u = 0;
-        if (v % (64 * VOX_CHECK_EVERY) == 0 && bsq_check(r->ctx) < 0)
+        if (bsq_check(r->ctx) < 0)
             break;
         if (thinning->costs[v] < threshold && find_target(thinning, v, &u) < threshold)
             try_collapse(thinning, u, v);

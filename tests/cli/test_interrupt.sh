@@ -1,9 +1,10 @@
 #!/bin/sh
 # test_interrupt.sh - signals end the programs in all stages, also on inputs that are made to be slow: a
-# scan with very many materials, one polygon with very many corners, and low-poly triangles that all
-# cover the whole map. The programs of $TESTS/bin get a signal when they look for an interruption for
-# the N-th time, so the moments are the same on any machine. With LONG=1, they get signals at
-# moments by the clock, in larger inputs, and must end within two seconds.
+# scan with very many materials, one polygon with very many corners, very many triangles around one
+# vertex, and low-poly triangles that all cover the whole map. The programs of $TESTS/bin get a
+# signal when they look for an interruption for the N-th time, so the moments are the same on any
+# machine. With LONG=1, they get signals at moments by the clock, in larger inputs, and must end
+# within two seconds.
 . "$(dirname "$0")/lib.sh"
 
 # A star-shaped polygon with texture coordinates, and random radii.
@@ -45,6 +46,18 @@ write_covering()
         print "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1"
         for (i = 0; i < n; i++)
             print i % 2 ? "f 3/3 2/2 1/1" : "f 4/4 3/3 1/1"
+    }'
+}
+
+# write_fan COUNT: triangles around one vertex on the border of the mesh.
+write_fan()
+{
+    awk -v n="$1" 'BEGIN {
+        print "v 0 0 1"
+        for (i = 0; i <= n; i++)
+            print "v", cos(6 * i / n), sin(6 * i / n), 0
+        for (i = 0; i < n; i++)
+            print "f 1", i + 2, i + 3
     }'
 }
 
@@ -125,6 +138,7 @@ of() { if [ $try = stops ]; then echo "$1"; else echo 8; fi; }
 write_polygon $size >polygon.obj
 write_materials $size
 write_covering $((size / 5)) >covering.obj
+write_fan $((size / 10)) >fan.obj
 write_list $((50 * size))
 write_comments $((50 * size))
 
@@ -147,5 +161,6 @@ $try "a scan" $(of 64) bisque-voxelize vase.obj -o slow.nvdb --no-tris --resolut
 $try "a bake" $(of 100) bisque-bake vase.nvdb low.obj -o 'slow_<MAP>.exr' --maps normal,ao --rays ao=8 --size $side --device cpu
 $try "an exact bake" $(of 100) bisque-bake vase.tris low.obj -o 'slow_<MAP>.png' --maps normal,ao --rays ao=8 --size $side
 $try "simplifying" $(of 100) bisque-simplify vase.tris -o slow.obj --triangles $((size / 5))
+$try "simplifying a fan" $(of $((size / 10))) bisque-simplify fan.obj -o slow.obj --triangles $((size / 40))
 $try "comparing" $(of 4) bisque-compare a.exr b.exr --heatmap slow.png
 finish
