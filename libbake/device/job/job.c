@@ -5,6 +5,7 @@
 #include "libbake/device/job/job.h"
 
 #include <assert.h>
+#include <string.h>
 
 #include "libbake/kernel/bk_srgb.h"
 #include "libbake/kernel/bk_secondary.h"
@@ -103,24 +104,25 @@ void bake_list_arrays(const struct bake_job *job, struct bake_grid_arrays *out)
     const uint64_t records = g->record_count * sizeof(uint32_t);
     const uint64_t transfers = g->transfer_count * sizeof *g->transfers;
     const bool colors = g->colors || g->ids || g->channels || transfers > 0;
-    *out = (struct bake_grid_arrays){
-        .params = job->params,
-        .arrays = {
-            [BAKE_TILES] = {"root tiles", {{g->tiles, g->tile_count * BK_TILE_WORDS * 8ull}}},
-            [BAKE_UPPERS] = {"upper nodes", {{g->uppers, g->upper_count * BK_UPPER_WORDS * 8ull}}},
-            [BAKE_LOWERS] = {"lower nodes", {{g->lowers, g->lower_count * BK_LOWER_WORDS * 8ull}}},
-            [BAKE_LEAVES] = {"leaves", {{g->leaves, g->leaf_count * BK_LEAF_WORDS * 8ull}}},
-            [BAKE_NORMALS] = {"normals", {{g->normals, records}}},
-            [BAKE_PLANES] = {"planes", {{g->planes, records}}},
-            [BAKE_COLORS] = {"colors",
-                             {{bk_srgb, colors ? sizeof bk_srgb : 0},
-                              {g->transfers, transfers},
-                              {g->colors, g->colors ? records : 0},
-                              {g->ids, g->ids ? records : 0},
-                              {g->channels, g->channels ? records * g->channel_words : 0}}},
-            [BAKE_SECONDS] = {"second records", {{g->seconds, (g->voxel_count / 32 + 1) * 8}}},
-            [BAKE_NODES] = {"tree of leaves", {{tree.nodes, tree.count * sizeof *tree.nodes}}},
-            [BAKE_BLOCKS] = {"blocks of leaves", {{tree.blocks, leaves * sizeof *tree.blocks}}}}};
+    const struct bake_grid_array arrays[BAKE_GRID_ARRAYS] = {
+        [BAKE_TILES] = {"root tiles", {{g->tiles, 8ull * g->tile_count * BK_TILE_WORDS}}, 0},
+        [BAKE_UPPERS] = {"upper nodes", {{g->uppers, 8ull * g->upper_count * BK_UPPER_WORDS}}, 0},
+        [BAKE_LOWERS] = {"lower nodes", {{g->lowers, 8ull * g->lower_count * BK_LOWER_WORDS}}, 0},
+        [BAKE_LEAVES] = {"leaves", {{g->leaves, 8ull * g->leaf_count * BK_LEAF_WORDS}}, 0},
+        [BAKE_NORMALS] = {"normals", {{g->normals, records}}, 0},
+        [BAKE_PLANES] = {"planes", {{g->planes, records}}, 0},
+        [BAKE_COLORS] = {"colors",
+                         {{bk_srgb, colors ? sizeof bk_srgb : 0},
+                          {g->transfers, transfers},
+                          {g->colors, g->colors ? records : 0},
+                          {g->ids, g->ids ? records : 0},
+                          {g->channels, g->channels ? records * g->channel_words : 0}},
+                         0},
+        [BAKE_SECONDS] = {"second records", {{g->seconds, (g->voxel_count / 32 + 1) * 8}}, 0},
+        [BAKE_NODES] = {"tree of leaves", {{tree.nodes, tree.count * sizeof *tree.nodes}}, 0},
+        [BAKE_BLOCKS] = {"blocks of leaves", {{tree.blocks, leaves * sizeof *tree.blocks}}, 0}};
+    *out = (struct bake_grid_arrays){.params = job->params};
+    memcpy(out->arrays, arrays, sizeof arrays);
     set_offsets(g, &out->params);
     for (int i = 0; i < BAKE_GRID_ARRAYS; i++) {
         struct bake_grid_array *array = &out->arrays[i];
