@@ -136,14 +136,29 @@ static int add_rules(struct cli *cli, const json_t *root)
     return 0;
 }
 
+struct rules_file {
+    int fd, error; /* errno of reading, which Jansson takes for the end of the file */
+};
+
+static size_t read_rules(void *buffer, size_t size, void *arg)
+{
+    struct rules_file *file = arg;
+    ssize_t count;
+    do
+        count = read(file->fd, buffer, size);
+    while (count < 0 && errno == EINTR);
+    file->error = count < 0 ? errno : 0;
+    return count < 0 ? 0 : (size_t)count;
+}
+
 /* Loads a file as JSON. *reserved: bytes of the budget that the caller releases. */
 static int load_json(struct cli *cli, json_t **out, uint64_t *reserved)
 {
     enum { BYTES_A_CHARACTER = 256, MOST_OTHERS = 1 << 16 }; /* of Jansson's memory */
-    const int fd = open(cli->path_map, O_RDONLY | O_NONBLOCK | O_CLOEXEC);
+    struct rules_file file = {open(cli->path_map, O_RDONLY | O_NONBLOCK | O_CLOEXEC), 0};
     struct stat info = {0};
     json_error_t error;
-    int status = fd < 0 || fstat(fd, &info) != 0
+    int status = file.fd < 0 || fstat(file.fd, &info) != 0
                      ? bsq_fail_errno(cli->ctx, BSQ_ENOINPUT, errno, "%s", cli->path_map)
                  : S_ISREG(info.st_mode)
                      ? 0
@@ -153,11 +168,14 @@ static int load_json(struct cli *cli, json_t **out, uint64_t *reserved)
     const uint64_t bound = BYTES_A_CHARACTER * (uint64_t)info.st_size + MOST_OTHERS;
     BSQ_TRY(bsq_reserve(cli->ctx, "rules for paths", bound));
     *reserved = bound;
-    *out = json_loadfd(fd, JSON_REJECT_DUPLICATES, &error);
-    status = *out ? 0 : fail_rules(cli, error.text);
+    *out = json_load_callback(read_rules, &file, JSON_REJECT_DUPLICATES, &error);
+    if (file.error)
+        status = bsq_fail_errno(cli->ctx, BSQ_EIO, file.error, "%s", cli->path_map);
+    else if (!*out)
+        status = fail_rules(cli, error.text);
 done:
-    if (fd >= 0)
-        close(fd);
+    if (file.fd >= 0)
+        close(file.fd);
     return status;
 }
 

@@ -33,7 +33,8 @@ import trial as trials
 BIN, TESTS = (os.path.abspath(os.environ[name]) for name in ("BIN", "TESTS"))
 DOCUMENTED = {0, 1, 64, 65, 66, 69, 71}
 NO_MEMORY, NO_DEVICE = 71, 69
-INTERRUPTED, KILLED = 75, -9
+FAULTS = {71, 73, 74, 75, -9}  # how a program may end if a call fails or a signal comes
+CALLS = "open read map write sync size name remove close"  # of tests/faults/faults.c
 DISTANCES = {"from_scan", "to_scan", "diagonal"}  # of the report of bisque-compare
 
 
@@ -57,9 +58,9 @@ class Runner:
 
     def run(self, program, arguments, environment=None, stdin=os.devnull):
         """Returns the exit code and standard error; fails if either is not as documented. The environment may
-        have settings of tests/faults/fault.h for looks for an interruption."""
+        have settings of tests/faults/fault.h."""
         environment = environment or {}
-        programs = os.path.join(TESTS, "bin") if "FAULT_CALLS" in environment else BIN
+        programs = os.path.join(TESTS, "bin") if environment.get("FAULT_CALLS") == "check" else BIN
         where = os.path.join(self.top, self.way)
         prefix = "".join("%s=%s " % item for item in environment.items())
         source = "" if stdin == os.devnull else " <" + shlex.quote(stdin)
@@ -71,7 +72,7 @@ class Runner:
         except subprocess.TimeoutExpired:
             raise Failure("no end after an hour")
         err = done.stderr.decode(errors="replace")
-        if done.returncode not in DOCUMENTED | ({INTERRUPTED, KILLED} if "FAULT_DO" in environment else set()):
+        if done.returncode not in DOCUMENTED | (FAULTS if "FAULT_DO" in environment else set()):
             raise Failure("exit code %d: %s" % (done.returncode, err[-500:]))
         said = [line for line in re.split(r"[\r\n]|\x1b\[K", err)
                 if re.match(program + r": (?!warning: |[\d,]+ rays, about )", line)]
@@ -244,6 +245,42 @@ def without_options_without_effect(runner, job, base, rng):
     expect_same(code, job.files(runner), base)
 
 
+def counted(runner, environment, run):
+    """Returns how many calls, or looks for an interruption, there are in a run; of several processes, the most."""
+    path = os.path.join(runner.top, "count")
+    run({**environment, "FAULT_COUNT": path})
+    with open(path) as file:
+        most = max(int(line.split()[0]) for line in file)
+    os.remove(path)
+    return most
+
+
+def after_a_failing_call(runner, job, base, rng):
+    """A call of the system fails, or transfers half: a documented end, or the same files; then it runs again."""
+    faults = {"LD_PRELOAD": os.path.join(TESTS, "faults.so"), "FAULT_UNDER": os.path.realpath(runner.top),
+              "FAULT_CALLS": CALLS, "FAULT_PLAIN": rng.choice(["", "1"]), "FAULT_CLOCK": rng.choice(["0", "86400"])}
+    piped = pipe_of(runner, job, rng) if isinstance(job, Grid) and base.code == 0 and rng.random() < 0.4 else {}
+    expected = base._replace(files={job.name: base.files[job.name]}) if piped else base
+
+    def run(environment):
+        try:
+            runner.way = "in" if piped else runner.way
+            return job.run(runner, environment=environment, **piped)[0]
+        finally:
+            runner.way = after_a_failing_call.__name__
+
+    calls = counted(runner, faults, run)
+    error = rng.choice(["EIO", "ENOSPC", "EMFILE", "ENOMEM", "EPERM", "EINTR", "short", "TERM"])
+    runner.directory(runner.way)  # without older outputs
+    code = run({**faults, "FAULT_AT": str(rng.randint(1, calls)), "FAULT_DO": error})
+    found = job.files(runner)
+    if code == base.code:
+        expect_same(code, found, expected)
+    elif code not in FAULTS | {66} or not found.items() <= expected.files.items():
+        raise Failure("exit code %d, and other or partial files: %s" % (code, ", ".join(found)))
+    expect_same(run({}), job.files(runner), expected)
+
+
 def after_an_interruption(runner, job, base, rng):
     """Runs it after the same command, or one with fewer options or other scans, was stopped at a random look."""
     trial, other = job.trial, {}
@@ -251,11 +288,7 @@ def after_an_interruption(runner, job, base, rng):
     if rng.random() < 0.5:
         scan = rng.choice(trial.scans)
         other.update({"scans": [scan]} if isinstance(job, Bake) else {"files": scan.files})
-    count = os.path.join(runner.top, "count")
-    job.run(runner, environment={"FAULT_CALLS": "check", "FAULT_COUNT": count}, **other)
-    with open(count) as file:
-        looks = int(file.read().split()[0])
-    os.remove(count)
+    looks = counted(runner, {"FAULT_CALLS": "check"}, lambda faults: job.run(runner, environment=faults, **other))
     if looks == 0:
         return False
     if rng.random() < 0.5:
@@ -288,16 +321,23 @@ def from_chunks(runner, job, base, rng):
     expect_same(code, {job.name: job.files(runner).get(job.name)}, First(0, {job.name: base.files[job.name]}, ""))
 
 
-def through_a_pipe(runner, job, base, rng):
-    """Reads a file from standard input, in the directory of the files that it names."""
-    files, way = list(job.scan.files), runner.way
+def pipe_of(runner, job, rng):
+    """Returns what to run a grid with in the directory `in`, so that it reads one file from standard input."""
+    files = list(job.scan.files)
     k = rng.randrange(len(files))
     name, files[k] = os.path.basename(files[k]), "-"
     given = [one for one in job.given if one[0].name not in ("path-map", "no-tris", "embed-textures", "vdb")]
+    return {"more": ["--no-tris"], "given": given, "output": "../%s/%s" % (runner.way, job.name), "files": files,
+            "stdin": name}
+
+
+def through_a_pipe(runner, job, base, rng):
+    """Reads a file from standard input, in the directory of the files that it names."""
     if base.code != 0:
         return False
+    piped, way = pipe_of(runner, job, rng), runner.way
     runner.way = "in"
-    code, _ = job.run(runner, ["--no-tris"], given, None, "../%s/%s" % (way, job.name), files, name)
+    code, _ = job.run(runner, **piped)
     runner.way = way
     expect_same(code, job.files(runner), First(0, {job.name: base.files[job.name]}, ""))
 
@@ -413,12 +453,13 @@ def compared(runner, job, base, rng):
 # How often each way runs.
 WAYS = {
     Grid: [(other_threads, 0.4), (other_budget, 0.4), (other_order, 0.2), (without_options_without_effect, 0.3),
-           (from_chunks, 0.4), (through_a_pipe, 0.2), (after_an_interruption, 0.1)],
+           (from_chunks, 0.4), (through_a_pipe, 0.2), (after_a_failing_call, 0.2), (after_an_interruption, 0.1)],
     Simplification: [(other_threads, 0.8), (other_budget, 0.4), (other_order, 0.3),
                      (without_options_without_effect, 0.5), (of_chunks, 0.5), (measured, 0.3),
-                     (after_an_interruption, 1)],
+                     (after_a_failing_call, 1), (after_an_interruption, 1)],
     Bake: [(other_threads, 0.6), (other_budget, 0.4), (other_order, 0.4), (without_options_without_effect, 1),
-           (in_parts, 0.5), (on_fake_cuda, 1), (on_opencl, 0.5), (compared, 0.2), (after_an_interruption, 0.1)],
+           (in_parts, 0.5), (on_fake_cuda, 1), (on_opencl, 0.5), (compared, 0.2), (after_a_failing_call, 0.3),
+           (after_an_interruption, 0.1)],
 }
 
 
