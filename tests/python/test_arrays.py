@@ -135,6 +135,7 @@ def test_small_files_are_read_or_refused_at_every_length(tmp_path):
         assert whole.faces.tolist() == [[0, 1, 2]] or name == "a.ply" and whole.faces.shape == (1, 3)
         damaged = [data[:n] for n in range(len(data))]
         damaged += [data[:n] + bytes([byte]) + data[n + 1:] for n in range(len(data)) for byte in (0, 57, 255)]
+        damaged += [b"ply\n" + b"comment a\n" * 10 ** 5] * (name == "a.ply")
         refused = 0
         for content in damaged:
             path.write_bytes(content)

@@ -4,6 +4,7 @@ import json
 import os
 import random
 import re
+import shutil
 import subprocess
 import sys
 import threading
@@ -13,7 +14,7 @@ import types
 import bisque
 import numpy as np
 import pytest
-from conftest import PROGRAM, radius_at, run_asset, write_png
+from conftest import PROGRAM, judge, radius_at, run_asset, write_png
 
 BIN, GENERATE = os.environ["BIN"], os.environ["GENERATE"]
 
@@ -289,6 +290,8 @@ def test_asset_of_a_chunk_file_has_the_maps_that_it_can(tmp_path):
         bisque.sort(scan, chunks)
         asset(chunks, "-o", out, "--triangles", 500, "--size", 64, "--memory", "512M")
         assert (tmp_path / f"{name}_asset/color.png").exists() == bool(colors)
+    shutil.copy(chunks, tmp_path / "-x.tris")
+    assert judge(run_asset("-o", out, "--triangles", 500, "--size", 64, "--", "-x.tris", cwd=tmp_path), out)
     chunks.write_bytes(chunks.read_bytes()[:100])
     with pytest.raises(bisque.Error, match="painted.tris"):
         bisque.asset(chunks, out, triangles=500, size=64)

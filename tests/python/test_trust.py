@@ -397,6 +397,7 @@ def test_results_that_cannot_be_printed_are_an_error(tmp_path):
     (("--memory", "1K"), 71, "memory"), (("--low", "missing.obj"), 66, "missing.obj"), (("--low", "/"), 66, "/"),
     (("--keep", "/dev/null/k"), 73, "/dev/null"), (("--texture", "missing.png"), 66, "missing.png"),
     (("-o", "/dev/null/a.glb"), 73, "/dev/null"), (("-o", "a.obj"), 64, ".glb"), (("-o", "/proc/a.glb"), 73, "/proc"),
+    (("-o", "a<MAP>.glb"), 64, "<MAP>"), (("--keep", "k<UDIM>"), 64, "<UDIM>"),
     (("--unwrap-seconds", "0"), 65, "did not unwrap")])
 def test_failures_have_their_codes(given, code, text, tmp_path):
     scan, out = write_scan(tmp_path / "in"), tmp_path / "a.glb"

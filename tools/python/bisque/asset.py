@@ -136,13 +136,13 @@ def _bake(steps: Steps, scan: str, obj: Path, files: dict, options: dict, job: d
     options. Returns the program's report."""
     known = core.map_names()
     maps = ",".join(name if name in known else f"transfer:{name}" for name in options["maps"])
-    words = [scan, obj, "-o", obj.with_name("<MAP>.png"), "--maps", maps, "--size", options["size"],
+    words = ["-o", obj.with_name("<MAP>.png"), "--maps", maps, "--size", options["size"],
              "--samples", options["samples"]]
     words += ["--rays", f"ao={options['ao_rays']}"] if {"ao", "bent"} & set(options["maps"]) else []
     words += [word for name, path in files.items() for word in (f"--{name}", path)]
     words += ["--memory", core.parse_bytes(job["memory"])] if job["memory"] else []
     words += ["--threads", job["threads"]] if job["threads"] else []
-    report = programs.run("bisque-bake", words, steps.report, steps.heard.warn, [steps.lock])
+    report = programs.run("bisque-bake", [*words, "--", scan, obj], steps.report, steps.heard.warn, [steps.lock])
     for file in report["files_read"]:
         steps.heard.read(file["path"], file["identity"])
     return report
@@ -310,7 +310,7 @@ def _sorted(steps: Steps, scan: Any, paths: list[str], texture: Any, job: dict) 
             raise ValueError("texture: a chunk file names its images itself; sort the mesh with this one")
         if len(paths) > 1:
             raise ValueError("several chunk files: sort the meshes together, or give the meshes")
-        about = programs.run("bisque-voxelize", ["--info", paths[0]], None, lambda _: None)["files"][0]
+        about = programs.run("bisque-voxelize", ["--info", "--", paths[0]], None, lambda _: None)["files"][0]
         known = {"triangles": about["triangles"], "has_colors": about["color"]}
         return paths[0], {**dict.fromkeys((*LOSSES, "has_material_colors", "uses_textures"), 0), **known}
     chunks = str(steps.folder / "scan.tris")
@@ -346,6 +346,9 @@ def _check_inputs(output: Path, made: Path, keep: Path, inputs: list[str]) -> No
     """Refuses outputs that would replace an input."""
     if output.is_dir():
         raise Error(73, f"{output}: this is a folder")
+    for folder in (made, keep):
+        if token := re.search("<(MAP|UDIM|UVTILE|OBJECT|MATERIAL)>", str(folder.absolute())):
+            raise ValueError(f"{folder}: {token[0]} in the name of a folder would be replaced")
     for path in inputs:
         if output.exists() and os.path.exists(path) and os.path.samefile(output, path):
             raise ValueError(f"{output}: this is an input, which would be replaced")

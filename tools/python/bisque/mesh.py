@@ -223,20 +223,19 @@ def as_mesh(thing: Any) -> Mesh:
 
 # ---- small files ----
 
-#: The most bytes of a line of a PLY file's header.
-MOST_LINE = 1 << 16
+#: The most bytes of a PLY file's header.
+MOST_HEADER = 1 << 16
 
 
 def _read_ply(path: str) -> Mesh:
     """Reads what bisque-simplify writes: positions, normals and triangles."""
     types = {"float": "<f4", "double": "<f8", "uchar": "u1", "uint": "<u4", "int": "<i4"}
     with open(path, "rb") as file:
-        words: list[list[str]] = []
-        while words[-1:] != [["end_header"]]:
-            line = file.readline(MOST_LINE)
-            if not line.endswith(b"\n"):
-                raise Error(65, f"{path}: its header does not end")
-            words.append(line.decode("ascii").split())
+        header, end, _ = file.read(MOST_HEADER).partition(b"\nend_header\n")
+        if not end:
+            raise Error(65, f"{path}: its header does not end")
+        file.seek(len(header + end))
+        words = [line.split() for line in header.decode("ascii").split("\n")]
         counts = {line[1]: int(line[2]) for line in words if line[:1] == ["element"]}
         columns = [(line[2], types[line[1]]) for line in words
                    if line[:1] == ["property"] and line[1] != "list"]

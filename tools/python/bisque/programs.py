@@ -35,7 +35,7 @@ def run(name: str, words: Sequence[Any], progress: Callable | None, warn: Callab
         keep_open: Sequence[int] = ()) -> dict:
     """Runs a program and returns its report. warn: gets its warnings, and lines of a kind that is not
     known. keep_open: descriptors that it holds, such as that of a lock. Raises Error."""
-    command = [BIN / name, *words, "--json", "--progress", "json"]
+    command = [BIN / name, "--json", "--progress", "json", *words]
     lines: list[str] = []
     with tempfile.TemporaryFile("w+") as printed, subprocess.Popen(
             [os.fspath(w) if isinstance(w, os.PathLike) else str(w) for w in command], text=True,
