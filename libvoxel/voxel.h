@@ -148,21 +148,26 @@ int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
 
 /** What vox_join() reads and writes. The caller owns all strings and handles. */
 struct vox_join_options {
-    size_t size;                           /**< Of the structure, see bsq_check_size(). */
-    const char *const *tris_paths;         /**< Input: chunk files, in any order. */
-    uint32_t tris_count;                   /**< Number of tris_paths. */
-    const struct vox_temp_tris *temp_tris; /**< NULL, or one more part. */
-    const char *output_path;               /**< Output: a chunk file. */
+    size_t size;                     /**< Of the structure, see bsq_check_size(). */
+    const char *const *tris_paths;   /**< Input: chunk files, in any order. */
+    uint32_t tris_count;             /**< Number of tris_paths. */
+    struct vox_temp_tris *temp_tris; /**< NULL, or a handle; its file is one more part. */
+    const char *output_path;         /**< Output: a chunk file. */
+    /** The handle gets the output instead, in place of its file, if any; output_path then only
+     * names the directory of temporary files. */
+    bool temporary;
     /** Vertex normals that it gets if the scan has none. AUTO: by the weights of the chunk files if
      * these have the same, or none if none has any; else smooth ones. FLAT: none. */
     enum bsq_scan_normals scan_normals;
+    bool ids; /**< All must have ids of one kind. */
 };
 
 /** Writes chunk files as one chunk file, with vertex normals that are smooth across their borders.
- * One file alone gets other normals. Of *report, fills in triangles, chunks, tris_bytes,
- * temp_bytes, origin, has_normals, has_texcoords, has_colors and seconds_sort. Errors:
- * BSQ_ENOINPUT; BSQ_EDATA for a damaged file, and for some files with normals beside others;
- * BSQ_ENOMEM, BSQ_ECANTCREAT, BSQ_EIO, BSQ_EINTR. */
+ * One file alone gets other normals. The file has the attributes of any of them, ids that all have
+ * of one kind, the channels that all have, and normal maps of any. Of *report, fills in triangles,
+ * chunks, tris_bytes, temp_bytes, origin, has_normals, has_texcoords, has_colors and seconds_sort.
+ * Errors: BSQ_ENOINPUT; BSQ_EDATA for a damaged file, for some files with normals beside others,
+ * and for different origins; BSQ_ENOMEM, BSQ_ECANTCREAT, BSQ_EIO, BSQ_EINTR. */
 int vox_join(struct bsq_ctx *ctx, const struct vox_join_options *options,
              struct vox_sort_report *report);
 
@@ -189,11 +194,7 @@ enum vox_grid_type {
 struct vox_voxelize_options {
     size_t size;           /**< Of the structure, see bsq_check_size(). */
     const char *tris_path; /**< Input: a chunk file. */
-    /** NULL, or the chunk files to read as one scan instead of tris_path, in any order. tris_path
-     * is then only used in messages. */
-    const char *const *part_paths;
-    uint32_t part_count; /**< Number of part_paths. */
-    /** NULL, or the input to read instead of tris_path; beside part_paths, one more part. */
+    /** NULL, or the input to read instead of tris_path, which is then only used in messages. */
     const struct vox_temp_tris *temp_tris;
     const char *grid_path; /**< Output: the grid. */
     uint32_t resolution; /**< Voxels along the longest side, up to VOX_RESOLUTION_MAX. 0: voxel_size
@@ -275,10 +276,9 @@ struct vox_simplified {
 
 /** What vox_simplify() reads and writes. The caller owns all strings and handles. */
 struct vox_simplify_options {
-    size_t size;                   /**< Of the structure, see bsq_check_size(). */
-    const char *const *tris_paths; /**< Input: chunk files, read as one scan, in any order. */
-    uint32_t tris_count;           /**< Number of tris_paths. */
-    const struct vox_temp_tris *temp_tris; /**< NULL, or one more part. */
+    size_t size;                           /**< Of the structure, see bsq_check_size(). */
+    const char *tris_path;                 /**< Input: a chunk file. */
+    const struct vox_temp_tris *temp_tris; /**< NULL, or the input to read instead of tris_path. */
     /** Outputs, .obj, .ply or .glb: one for each target, or one alone for an error. */
     const char *const *output_paths;
     const uint64_t *targets; /**< Triangles of each mesh, falling. */
@@ -322,10 +322,10 @@ int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options
                  struct vox_simplify_report *report);
 
 /** Measures how far any mesh is from a scan, as vox_simplify() measures its own. The mesh is held
- * in memory. scan_paths: chunk files, read as one scan. mesh: of vox_sort(). from_scan receives the
- * distances of the scan's vertices from the mesh, from_mesh those of points on the mesh from the
- * scan. Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_ENOMEM, BSQ_EIO, BSQ_EINTR. */
-int vox_measure_mesh(struct bsq_ctx *ctx, const char *const *scan_paths, uint32_t scan_count,
+ * in memory. scan: NULL, or the chunk file to read instead of scan_path. mesh: of vox_sort().
+ * from_scan receives the distances of the scan's vertices from the mesh, from_mesh those of points
+ * on the mesh from the scan. Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_ENOMEM, BSQ_EIO, BSQ_EINTR. */
+int vox_measure_mesh(struct bsq_ctx *ctx, const char *scan_path, const struct vox_temp_tris *scan,
                      const struct vox_temp_tris *mesh, struct vox_distances *from_scan,
                      struct vox_distances *from_mesh);
 

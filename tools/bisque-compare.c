@@ -243,7 +243,7 @@ static int compare_tool_measure(struct cli *cli, const struct arguments *argumen
 {
     const char *const *inputs = arguments->inputs;
     const uint32_t count = arguments->input_count;
-    struct vox_temp_tris *mesh = NULL;
+    struct vox_temp_tris *mesh = NULL, *scan = NULL;
     struct vox_sort_options options;
     struct vox_sort_report report = {.size = sizeof report};
     int status = 0;
@@ -257,8 +257,12 @@ static int compare_tool_measure(struct cli *cli, const struct arguments *argumen
     options.temp_tris = mesh;
     options.scan_normals = BSQ_SCAN_NORMALS_FLAT; /* they are not used */
     BSQ_TRY(vox_sort(cli->ctx, &options, &report));
-    status = vox_measure_mesh(cli->ctx, inputs + 1, count - 1, mesh, from_scan, from_mesh);
+    const struct vox_join_options how = {.output_path = inputs[0],
+                                         .scan_normals = BSQ_SCAN_NORMALS_FLAT};
+    BSQ_TRY(cli_join(cli, inputs + 1, count - 1, &how, &scan));
+    status = vox_measure_mesh(cli->ctx, inputs[1], scan, mesh, from_scan, from_mesh);
 done:
+    vox_temp_tris_close(scan);
     vox_temp_tris_close(mesh);
     return status;
 }

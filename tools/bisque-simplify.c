@@ -7,6 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/file.h"
 #include "libvoxel/voxel.h"
 #include "tools/cli.h"
 
@@ -144,12 +145,9 @@ static int simplify_tool_recognise_inputs(struct cli *cli, struct arguments *arg
 {
     for (uint32_t i = 0; i < count; i++)
         BSQ_PASS(cli_map_input(cli, &inputs[i]));
-    BSQ_PASS(cli_recognise_scans(cli, inputs, count,
-                                 "a grid has no triangles; give the scan or its chunk file (.tris)",
-                                 &arguments->scans));
-    arguments->simplify.tris_paths = arguments->scans.chunks;
-    arguments->simplify.tris_count = arguments->scans.chunk_count;
-    return 0;
+    return cli_recognise_scans(cli, inputs, count,
+                               "a grid has no triangles; give the scan or its chunk file (.tris)",
+                               &arguments->scans);
 }
 
 /* Sorts the meshes into a temporary chunk file. */
@@ -242,10 +240,14 @@ static int simplify_tool_run(struct cli *cli, struct arguments *arguments, const
     if (arguments->scans.mesh_count > 0) {
         BSQ_TRY(vox_temp_tris_create(cli->ctx, &temp));
         BSQ_TRY(sort_meshes(cli, arguments, temp, &sorted));
-        arguments->simplify.temp_tris = temp;
     }
+    const struct vox_join_options how = {.output_path = arguments->paths[0],
+                                         .scan_normals = BSQ_SCAN_NORMALS_FLAT};
+    BSQ_TRY(cli_join(cli, arguments->scans.chunks, arguments->scans.chunk_count, &how, &temp));
+    arguments->simplify.tris_path = arguments->scans.chunks[0];
+    arguments->simplify.temp_tris = temp;
     BSQ_TRY(vox_simplify(cli->ctx, &arguments->simplify, &report));
-    report.temp_bytes += sorted.temp_bytes;
+    report.temp_bytes = bsq_temp_bytes(cli->ctx);
     warn_of_targets(cli, arguments, &report);
     if (cli->json)
         status = simplify_tool_print_json(cli, arguments, &report);

@@ -117,11 +117,15 @@ static int voxelize_tool_sort_scan(struct voxelize_job *job)
 static int make_grid(struct voxelize_job *job)
 {
     struct vox_voxelize_options *options = &job->arguments->grid;
-    options->tris_path = job->tris_path;
-    options->part_paths = job->scans.chunk_count > 0 ? job->scans.chunks : NULL;
-    options->part_count = job->scans.chunk_count;
+    const struct vox_join_options how = {.output_path = options->grid_path,
+                                         .scan_normals = options->scan_normals,
+                                         .ids = options->ids};
+    const bool several = job->scans.chunk_count + (job->scans.mesh_count > 0) > 1;
+    int status =
+        cli_join(job->cli, job->scans.chunks, job->scans.chunk_count, &how, &job->temp_tris);
+    options->tris_path = several ? "the scan" : job->tris_path;
     options->temp_tris = job->temp_tris;
-    return vox_voxelize(job->cli->ctx, options, &job->grid);
+    return status < 0 ? status : vox_voxelize(job->cli->ctx, options, &job->grid);
 }
 
 /* Writes all chunk files as one. */

@@ -317,3 +317,20 @@ int cli_recognise_scans(struct cli *cli, const char *const *paths, uint32_t coun
     }
     return 0;
 }
+
+int cli_join(struct cli *cli, const char *const *paths, uint32_t count,
+             const struct vox_join_options *how, struct vox_temp_tris **temp)
+{
+    struct vox_sort_report report = {.size = sizeof report};
+    struct vox_join_options options = *how;
+    if (count + (*temp != NULL) < 2)
+        return 0;
+    if (!*temp)
+        BSQ_PASS(vox_temp_tris_create(cli->ctx, temp));
+    options.size = sizeof options;
+    options.tris_paths = paths;
+    options.tris_count = count;
+    options.temp_tris = *temp;
+    options.temporary = true;
+    return vox_join(cli->ctx, &options, &report);
+}

@@ -148,6 +148,12 @@ struct cli_scans {
 int cli_recognise_scans(struct cli *cli, const char *const *paths, uint32_t count,
                         const char *advice, struct cli_scans *out);
 
+/* Makes one chunk file of several, whose meshes, if any, were sorted to *temp: a temporary file,
+ * which *temp then has. A file alone stays as it is. Of *how, reads output_path, scan_normals and
+ * ids. The caller closes *temp, also on failure. Errors: those of vox_join(). */
+int cli_join(struct cli *cli, const char *const *paths, uint32_t count,
+             const struct vox_join_options *how, struct vox_temp_tris **temp);
+
 /* Checks whole files (.tris, .nvdb) and prints a line on each: its content on standard output, or
  * what is wrong on standard error. Checks all of them; returns the status of the first that failed.
  */

@@ -148,34 +148,25 @@ int fmt_tris_commit(struct fmt_tris_writer *writer, struct bsq_file *out);
 void fmt_tris_discard(struct fmt_tris_writer *writer); /* NULL is allowed */
 
 /* ---- writing made normals ---- */
-struct fmt_tris_normals_writer;
 
-/* Starts the section of normals of a file all of whose chunks were appended. Errors: BSQ_ENOMEM,
- * BSQ_EIO. */
-int fmt_tris_normals_begin(struct fmt_tris_writer *writer, struct fmt_tris_normals_writer **out);
-/* Starts a section for an open file in a temporary file (bsq_file_temp()) instead, which takes the
- * place of the file's own until it is closed. */
-int fmt_tris_normals_begin_temp(struct fmt_tris_file *file, const char *beside,
-                                struct fmt_tris_normals_writer **out);
-/* Returns the file whose chunks need normals. Only its chunks may be loaded. */
-const struct fmt_tris_file *fmt_tris_normals_file(const struct fmt_tris_normals_writer *writer);
-/* Writes, and reads back, the normals of a chunk's vertices. Thread-safe. */
-int fmt_tris_normals_put(struct fmt_tris_normals_writer *writer, uint64_t chunk,
-                         const uint64_t *normals);
-int fmt_tris_normals_get(struct fmt_tris_normals_writer *writer, uint64_t chunk, uint64_t *normals);
+/* Starts the section of normals after the last chunk. *out has the chunks for fmt_tris_load();
+ * close it before the writer. A file whose section fails is of no use. Errors: BSQ_ENOMEM, BSQ_EIO.
+ */
+int fmt_tris_normals_begin(struct fmt_tris_writer *writer, struct fmt_tris_file **out);
+/* Write, and read back, the normals of a chunk's vertices. Thread-safe. */
+int fmt_tris_normals_put(struct fmt_tris_writer *writer, uint64_t chunk, const uint64_t *normals);
+int fmt_tris_normals_get(const struct fmt_tris_file *file, uint64_t chunk, uint64_t *normals);
 /* Returns the checksum of the normals of vertices and of the creases, which follow them in memory.
  */
 uint64_t fmt_tris_normals_checksum(const uint64_t *normals, uint32_t vertex_count,
                                    uint32_t crease_count);
 /* Completes a chunk after its last fmt_tris_normals_put(): appends its creases, and sets its entry
  * of the table. Call it for all chunks in their order, one at a time. */
-int fmt_tris_normals_finish(struct fmt_tris_normals_writer *writer, uint64_t chunk,
+int fmt_tris_normals_finish(struct fmt_tris_writer *writer, uint64_t chunk,
                             const struct fmt_tris_crease *creases, uint32_t crease_count,
                             uint64_t checksum);
 /* Ends the section; the normals were made with these weights. */
-int fmt_tris_normals_end(struct fmt_tris_normals_writer *writer, enum bsq_scan_normals weights);
-/* Frees the writer; NULL is allowed. A section that was not ended does not count. */
-void fmt_tris_normals_free(struct fmt_tris_normals_writer *writer);
+void fmt_tris_normals_end(struct fmt_tris_writer *writer, enum bsq_scan_normals weights);
 
 /* ---- reading ---- */
 
@@ -185,27 +176,15 @@ int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **
 /* Opens a file of fmt_tris_commit(); the caller may close *temp at any time after that. */
 int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp,
                        struct fmt_tris_file **out);
-/* Opens files as one scan, whose chunks follow each other. Their order does not matter. temp: NULL,
- * or one more file, see fmt_tris_open_temp(); then path_count may be 0. Either all have normals, or
- * none has; of other attributes the scan has those of any file. It has ids if all files have ids of
- * one kind. All must have one origin. Errors: those of fmt_tris_open(). */
-int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
-                        const struct bsq_file *temp, struct fmt_tris_file **out);
-/* Checks that a scan has ids. Errors: BSQ_EDATA, with the name of the file that prevents it. */
-int fmt_tris_require_ids(const struct fmt_tris_file *file);
-/* Checks alike that a scan has a channel, which all of its files must have. */
-int fmt_tris_require_channel(const struct fmt_tris_file *file, const char *name);
 /* Returns the name of weights, AREA to MAX, as options have it; NULL of others. */
 const char *fmt_tris_normals_text(enum bsq_scan_normals weights);
-/* Returns the weights by which all files of a scan have made normals, 0 if none has any, and SMOOTH
- * if they differ. A temporary file beside others does not count. Several files have no made normals
- * together, as these lack the triangles of the other files. */
-enum bsq_scan_normals fmt_tris_parts_normals(const struct fmt_tris_file *file);
-/* Returns whether images of textures lie in the files. */
+/* Returns whether images of textures lie in the file. */
 bool fmt_tris_has_images(const struct fmt_tris_file *file);
+/* Closes the file, but keeps what its header and table say. */
+void fmt_tris_release(struct fmt_tris_file *file);
 void fmt_tris_close(struct fmt_tris_file *file);
 const struct fmt_tris_header *fmt_tris_get_header(const struct fmt_tris_file *file);
-/* Returns the checksum of a single file's header, which covers those of all other parts. So files
+/* Returns the checksum of a file's header, which covers those of all other parts. So files
  * with the same one have the same bytes, unless one is damaged. */
 uint64_t fmt_tris_checksum(const struct fmt_tris_file *file);
 /* Returns the chunk table: chunk_count entries, owned by the file. */

@@ -104,7 +104,6 @@ struct tris_attribute {
     uint32_t flag;     /* of enum fmt_tris_attribute */
     uint32_t bytes;    /* of a value; 0: they are a sample */
     bool of_triangles; /* a value for each triangle; else one for each vertex */
-    int absent;        /* each byte of the values of a part without the attribute */
     size_t member;     /* the array's pointer in struct fmt_tris_chunk */
 };
 enum { TRIS_ATTRIBUTE_COUNT = 5 };
@@ -118,25 +117,12 @@ static inline uint64_t tris_values_bytes(const struct tris_attribute *attribute,
                : attribute->bytes * (uint64_t)(attribute->of_triangles ? triangles : vertices);
 }
 
-static inline void tris_set_values(const struct tris_attribute *attribute,
-                                   struct fmt_tris_chunk *chunk, const void *values)
-{
-    memcpy((char *)chunk + attribute->member, &values, sizeof values);
-}
-
 /* Offsets of the arrays of a chunk, from its first byte; attributes it lacks take no bytes. */
 struct tris_layout {
     uint64_t values[TRIS_ATTRIBUTE_COUNT], triangles; /* positions are first */
     uint64_t end;                                     /* of the triangles */
     uint64_t bytes;                                   /* end, rounded up to 8 */
     bool short_indices;
-};
-
-/* A file of several that are one scan. */
-struct tris_part {
-    struct fmt_tris_file *file; /* with the descriptor closed, but for a temporary file */
-    uint64_t first_chunk;       /* numbers over all files */
-    uint32_t first_material;
 };
 
 struct fmt_tris_file {
@@ -152,10 +138,25 @@ struct fmt_tris_file {
     uint64_t chunks_offset, images_checksum; /* of the header, like the next one */
     uint64_t checksum;
     uint64_t load_size_max, normals_size_max;
-    struct bsq_file normals; /* a temporary file with the made normals; closed: `file` has them */
-    /* Of several files as one scan; then `file` has only a path, that of the first part. */
-    struct tris_part *parts;
-    uint32_t part_count;
+};
+
+/* A texture that lies in the file. */
+struct tris_image {
+    const char *path; /* of the material */
+    char *name;       /* of the part of this file, which stands for it */
+};
+
+struct fmt_tris_writer {
+    struct bsq_ctx *ctx;
+    struct bsq_output *output;
+    bool temporary; /* the output is a temporary file */
+    struct tris_file_header header;
+    char *materials; /* as in the file */
+    uint64_t materials_bytes, materials_capacity;
+    struct fmt_tris_chunk_info *table;
+    uint64_t table_capacity;
+    struct tris_image *images; /* that were embedded */
+    uint64_t image_count, image_capacity;
 };
 
 /* ---- tris_load.c ---- */
@@ -166,16 +167,6 @@ int fmt_tris_read_unchanged(const struct fmt_tris_file *file, void *to, uint64_t
 /* Reports damage of a chunk of an open file; returns BSQ_EDATA. */
 int fmt_tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what);
 
-/* ---- tris_write.c ---- */
-
-/* Opens the chunks that were written so far, for loading only. Close *out before the writer. */
-int fmt_tris_open_written(const struct fmt_tris_writer *writer, struct fmt_tris_file **out);
-/* Returns the output. */
-struct bsq_output *fmt_tris_writer_output(const struct fmt_tris_writer *writer);
-/* Adds a section of normals to the header, and to the chunks' entries what `infos` say of it. */
-void fmt_tris_writer_add_normals(struct fmt_tris_writer *writer, enum bsq_scan_normals weights,
-                                 const struct fmt_tris_chunk_info *infos);
-
 /* ---- tris_sample.c ---- */
 
 /* Writes the sample of a chunk with these bounds to `out`. Four bytes after the positions are read,
@@ -185,13 +176,7 @@ void fmt_tris_make_sample(const struct fmt_tris_chunk *chunk,
 /* Returns whether the records of a sample are as FORMATS.md says. */
 bool fmt_tris_sample_valid(const void *sample, uint32_t triangles);
 
-/* ---- tris_parts.c ---- */
-
-void fmt_tris_close_parts(struct fmt_tris_file *all);
-uint64_t fmt_tris_part_load_size(const struct fmt_tris_file *all, uint64_t index);
-/* found: loads the sample; NULL: the triangles. */
-int fmt_tris_load_part(const struct fmt_tris_file *all, uint64_t index, void *scratch,
-                       struct fmt_tris_chunk *out, bool *found);
+/* ---- tris_open.c ---- */
 
 /* Reports damage of an open file; returns BSQ_EDATA. */
 int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what);

@@ -22,8 +22,7 @@ int fmt_tris_read_unchanged(const struct fmt_tris_file *file, void *to, uint64_t
 
 uint64_t fmt_tris_load_size(const struct fmt_tris_file *file, uint64_t index)
 {
-    return file->parts ? fmt_tris_part_load_size(file, index)
-                       : tris_load_size(file->header.attributes, &file->chunks[index]);
+    return tris_load_size(file->header.attributes, &file->chunks[index]);
 }
 
 uint64_t fmt_tris_load_size_max(const struct fmt_tris_file *file)
@@ -33,10 +32,7 @@ uint64_t fmt_tris_load_size_max(const struct fmt_tris_file *file)
 
 void fmt_tris_read_ahead(const struct fmt_tris_file *file, uint64_t index)
 {
-    /* Parts of a joined scan are open while they are read only. */
-    if (!file->parts)
-        bsq_file_read_ahead(&file->file, file->chunks[index].size_bytes,
-                            file->chunks[index].offset);
+    bsq_file_read_ahead(&file->file, file->chunks[index].size_bytes, file->chunks[index].offset);
 }
 
 /* Indices that are widened in one step. */
@@ -122,9 +118,11 @@ static void place_chunk(struct fmt_tris_chunk *out, const uint8_t *bytes,
                         const struct tris_layout *l, uint32_t attributes)
 {
     out->positions = (const float(*)[3])(const void *)bytes;
-    for (int i = 0; i < TRIS_ATTRIBUTE_COUNT; i++)
+    for (int i = 0; i < TRIS_ATTRIBUTE_COUNT; i++) {
+        const void *values = bytes + l->values[i];
         if (attributes & fmt_tris_attributes[i].flag)
-            tris_set_values(&fmt_tris_attributes[i], out, bytes + l->values[i]);
+            memcpy((char *)out + fmt_tris_attributes[i].member, &values, sizeof values);
+    }
     out->triangles = (const uint32_t(*)[3])(const void *)(bytes + l->triangles);
 }
 
@@ -139,8 +137,6 @@ static bool tris_all_zero(const uint8_t *bytes, uint64_t count)
 int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratch,
                   struct fmt_tris_chunk *out)
 {
-    if (file->parts)
-        return fmt_tris_load_part(file, index, scratch, out, NULL);
     const struct fmt_tris_chunk_info *info = &file->chunks[index];
     const uint32_t attributes = file->header.attributes;
     struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);

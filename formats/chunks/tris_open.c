@@ -426,7 +426,6 @@ static int tris_open_file(struct bsq_ctx *ctx, struct bsq_file *input, struct fm
     }
     file->ctx = ctx;
     file->file = *input;
-    file->normals = (struct bsq_file)BSQ_FILE_CLOSED;
     status = open_parts(file);
     bsq_free(ctx, file->tail);
     file->tail = NULL;
@@ -453,14 +452,17 @@ int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp, struct 
     return tris_open_file(ctx, &input, out);
 }
 
+void fmt_tris_release(struct fmt_tris_file *file)
+{
+    bsq_file_close(file->ctx, &file->file);
+}
+
 void fmt_tris_close(struct fmt_tris_file *file)
 {
     if (!file)
         return;
     struct bsq_ctx *ctx = file->ctx;
-    fmt_tris_close_parts(file);
     bsq_file_close(ctx, &file->file);
-    bsq_file_close(ctx, &file->normals);
     BSQ_FREE(ctx, file->header.materials, file->header.channels, file->sources, file->chunks,
              file->paths);
     for (uint64_t i = 0; i < file->image_count; i++)
@@ -476,27 +478,9 @@ const char *fmt_tris_normals_text(enum bsq_scan_normals weights)
                                                : NULL;
 }
 
-enum bsq_scan_normals fmt_tris_parts_normals(const struct fmt_tris_file *file)
-{
-    enum bsq_scan_normals all = file->header.made_normals;
-    bool any = false;
-    for (uint32_t i = 0; i < file->part_count; i++) {
-        const struct fmt_tris_file *part = file->parts[i].file;
-        const enum bsq_scan_normals one = part->header.made_normals;
-        if (part->file.fd >= 0) /* temporary, see struct tris_part */
-            continue;
-        all = !any || all == one ? one : BSQ_SCAN_NORMALS_SMOOTH;
-        any = true;
-    }
-    return all;
-}
-
 bool fmt_tris_has_images(const struct fmt_tris_file *file)
 {
-    bool any = file->image_count > 0;
-    for (uint32_t i = 0; i < file->part_count; i++)
-        any |= file->parts[i].file->image_count > 0;
-    return any;
+    return file->image_count > 0;
 }
 
 const struct fmt_tris_header *fmt_tris_get_header(const struct fmt_tris_file *file)

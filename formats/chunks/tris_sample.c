@@ -303,8 +303,6 @@ bool fmt_tris_sample_valid(const void *sample, uint32_t triangles)
 int fmt_tris_load_sample(const struct fmt_tris_file *file, uint64_t index, void *scratch,
                          struct fmt_tris_chunk *out, bool *found)
 {
-    if (file->parts)
-        return fmt_tris_load_part(file, index, scratch, out, found);
     const struct fmt_tris_chunk_info *info = &file->chunks[index];
     const uint32_t attributes = file->header.attributes, count = info->triangle_count;
     const struct tris_layout l = tris_chunk_layout(attributes, count, info->vertex_count);

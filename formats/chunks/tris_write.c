@@ -17,11 +17,11 @@
 #include <xxhash.h>
 
 const struct tris_attribute fmt_tris_attributes[TRIS_ATTRIBUTE_COUNT] = {
-    {FMT_TRIS_NORMALS, 4, false, 0, offsetof(struct fmt_tris_chunk, normals)},
-    {FMT_TRIS_TEXCOORDS, 8, false, 0, offsetof(struct fmt_tris_chunk, texcoords)},
-    {FMT_TRIS_COLORS, 4, false, 0xff, offsetof(struct fmt_tris_chunk, colors)},
-    {FMT_TRIS_MATERIALS, 4, true, 0xff, offsetof(struct fmt_tris_chunk, materials)},
-    {FMT_TRIS_SAMPLES, 0, false, 0, offsetof(struct fmt_tris_chunk, samples)},
+    {FMT_TRIS_NORMALS, 4, false, offsetof(struct fmt_tris_chunk, normals)},
+    {FMT_TRIS_TEXCOORDS, 8, false, offsetof(struct fmt_tris_chunk, texcoords)},
+    {FMT_TRIS_COLORS, 4, false, offsetof(struct fmt_tris_chunk, colors)},
+    {FMT_TRIS_MATERIALS, 4, true, offsetof(struct fmt_tris_chunk, materials)},
+    {FMT_TRIS_SAMPLES, 0, false, offsetof(struct fmt_tris_chunk, samples)},
 };
 
 static uint32_t wrap_bits(const struct fmt_uv *uv)
@@ -121,25 +121,6 @@ int fmt_tris_encode(struct bsq_ctx *ctx, uint32_t attributes, const struct fmt_t
 }
 
 /* ---- the writer ---- */
-
-/* A texture that lies in the file. */
-struct tris_image {
-    const char *path; /* of the material */
-    char *name;       /* of the part of this file, which stands for it */
-};
-
-struct fmt_tris_writer {
-    struct bsq_ctx *ctx;
-    struct bsq_output *output;
-    bool temporary; /* the output is a temporary file */
-    struct tris_file_header header;
-    char *materials; /* as in the file */
-    uint64_t materials_bytes, materials_capacity;
-    struct fmt_tris_chunk_info *table;
-    uint64_t table_capacity;
-    struct tris_image *images; /* that were embedded */
-    uint64_t image_count, image_capacity;
-};
 
 void fmt_tris_discard(struct fmt_tris_writer *writer)
 {
@@ -387,46 +368,6 @@ int fmt_tris_append(struct fmt_tris_writer *writer, const void *encoded, uint64_
 void fmt_tris_skip(struct fmt_tris_writer *writer, uint64_t triangles)
 {
     writer->header.skipped_triangles += triangles;
-}
-
-int fmt_tris_open_written(const struct fmt_tris_writer *writer, struct fmt_tris_file **out)
-{
-    const struct tris_file_header *h = &writer->header;
-    struct fmt_tris_file *file;
-    int status = BSQ_CALLOC(writer->ctx, "chunk file", 1, &file);
-    *out = NULL;
-    if (status < 0)
-        return status;
-    file->ctx = writer->ctx;
-    file->file = file->normals = (struct bsq_file)BSQ_FILE_CLOSED;
-    file->header.attributes = h->attributes;
-    file->header.chunk_count = h->chunk_count;
-    file->header.triangle_count = h->triangle_count;
-    file->header.material_count = h->material_count;
-    BSQ_TRY(BSQ_ALLOC(file->ctx, "chunk table", h->chunk_count + 1, &file->chunks));
-    for (uint64_t i = 0; i < h->chunk_count; i++) {
-        file->chunks[i] = writer->table[i];
-        const uint64_t bytes = tris_load_size(h->attributes, &file->chunks[i]);
-        file->load_size_max = bytes > file->load_size_max ? bytes : file->load_size_max;
-    }
-    BSQ_TRY(bsq_output_read(writer->output, &file->file));
-    *out = file;
-    file = NULL;
-done:
-    fmt_tris_close(file);
-    return status;
-}
-
-struct bsq_output *fmt_tris_writer_output(const struct fmt_tris_writer *writer)
-{
-    return writer->output;
-}
-
-void fmt_tris_writer_add_normals(struct fmt_tris_writer *writer, enum bsq_scan_normals weights,
-                                 const struct fmt_tris_chunk_info *infos)
-{
-    writer->header.made_normals = weights;
-    memcpy(writer->table, infos, writer->header.chunk_count * sizeof *infos);
 }
 
 /* Writes materials, table and header. */

@@ -97,10 +97,11 @@ int fmt_shading_add_channel(struct fmt_shading *shading, const char *name, const
                         "%s has no texture coordinates for the map %s: make it with "
                         "bisque-voxelize --channels %s=%s",
                         shading->path, name, name, path);
-    int status = path ? 0 : fmt_tris_require_channel(shading->file, name);
-    return status < 0
-               ? status
-               : shading_add_channel(shading, count > 0 ? count : FMT_SHADING_CHANNELS, name, path);
+    if (!path && fmt_tris_find_channel(shading->header, name) == UINT32_MAX)
+        return bsq_fail(shading->ctx, BSQ_EDATA,
+                        "%s has no channel %s: make it with bisque-voxelize --channels %s",
+                        shading->path, name, name);
+    return shading_add_channel(shading, count > 0 ? count : FMT_SHADING_CHANNELS, name, path);
 }
 
 /* Returns the name that tells apart triangles of a material, or those without one. */

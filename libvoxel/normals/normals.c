@@ -101,7 +101,7 @@ static int answer_work(void *arg, void *slot, uint64_t chunk, unsigned worker)
     s->crease_count = 0;
     BSQ_TRY(bsq_grow(run->ctx, "normals", vertices, sizeof *s->normals, &s->normals,
                      &s->normals_capacity));
-    BSQ_TRY(fmt_tris_normals_get(run->writer, chunk, s->normals));
+    BSQ_TRY(fmt_tris_normals_get(run->file, chunk, s->normals));
     BSQ_TRY(take_answers(run, chunk, s, &changed));
     bsq_sort(s->normals + vertices, s->crease_count, sizeof(struct fmt_tris_crease),
              compare_creases);
@@ -194,34 +194,18 @@ done:
     return status;
 }
 
-/* Fills, ends and frees a section. */
-static int make_section(struct bsq_ctx *ctx, struct fmt_tris_normals_writer *section,
-                        enum bsq_scan_normals weights, const char *beside)
-{
-    struct normals_run run = {.ctx = ctx,
-                              .writer = section,
-                              .file = fmt_tris_normals_file(section),
-                              .weights = weights,
-                              .lock = PTHREAD_MUTEX_INITIALIZER};
-    int status = fill_section(&run, beside);
-    if (status == 0)
-        status = fmt_tris_normals_end(section, weights);
-    fmt_tris_normals_free(section);
-    return status;
-}
-
 int vox_write_normals(struct bsq_ctx *ctx, struct fmt_tris_writer *writer,
                       enum bsq_scan_normals weights, const char *beside)
 {
-    struct fmt_tris_normals_writer *section;
-    const int status = fmt_tris_normals_begin(writer, &section);
-    return status < 0 ? status : make_section(ctx, section, weights, beside);
-}
-
-int vox_replace_normals(struct bsq_ctx *ctx, struct fmt_tris_file *file,
-                        enum bsq_scan_normals weights, const char *beside)
-{
-    struct fmt_tris_normals_writer *section;
-    const int status = fmt_tris_normals_begin_temp(file, beside, &section);
-    return status < 0 ? status : make_section(ctx, section, weights, beside);
+    struct normals_run run = {
+        .ctx = ctx, .writer = writer, .weights = weights, .lock = PTHREAD_MUTEX_INITIALIZER};
+    struct fmt_tris_file *file;
+    int status = fmt_tris_normals_begin(writer, &file);
+    run.file = file;
+    if (status == 0)
+        status = fill_section(&run, beside);
+    if (status == 0)
+        fmt_tris_normals_end(writer, weights);
+    fmt_tris_close(file);
+    return status;
 }

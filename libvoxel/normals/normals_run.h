@@ -28,7 +28,7 @@ struct normals_answer {
 
 struct normals_run {
     struct bsq_ctx *ctx;
-    struct fmt_tris_normals_writer *writer;
+    struct fmt_tris_writer *writer;
     const struct fmt_tris_file *file;
     const struct fmt_tris_chunk_info *infos;
     enum bsq_scan_normals weights;

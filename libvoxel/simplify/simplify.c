@@ -226,8 +226,8 @@ static int check_options(struct bsq_ctx *ctx, const struct vox_simplify_options 
 static int open_scan(struct simplifying *s)
 {
     const struct vox_temp_tris *temp = s->options->temp_tris;
-    int status = fmt_tris_open_parts(s->ctx, s->options->tris_paths, s->options->tris_count,
-                                     temp ? &temp->file : NULL, &s->file);
+    const int status = temp ? fmt_tris_open_temp(s->ctx, &temp->file, &s->file)
+                            : fmt_tris_open(s->ctx, s->options->tris_path, &s->file);
     if (status < 0)
         return status;
     s->header = fmt_tris_get_header(s->file);
@@ -296,21 +296,22 @@ static void move_mesh(struct vox_mesh *mesh, const double from[3], const double 
             mesh->positions[v][k] = (float)((double)mesh->positions[v][k] + (from[k] - to[k]));
 }
 
-int vox_measure_mesh(struct bsq_ctx *ctx, const char *const *scan_paths, uint32_t scan_count,
+int vox_measure_mesh(struct bsq_ctx *ctx, const char *scan_path, const struct vox_temp_tris *scan,
                      const struct vox_temp_tris *mesh, struct vox_distances *from_scan,
                      struct vox_distances *from_mesh)
 {
-    struct fmt_tris_file *scan = NULL, *low = NULL;
+    struct fmt_tris_file *file = NULL, *low = NULL;
     struct vox_mesh whole = {0};
     int status = 0;
-    BSQ_TRY(fmt_tris_open_parts(ctx, scan_paths, scan_count, NULL, &scan));
+    BSQ_TRY(scan ? fmt_tris_open_temp(ctx, &scan->file, &file)
+                 : fmt_tris_open(ctx, scan_path, &file));
     BSQ_TRY(fmt_tris_open_temp(ctx, &mesh->file, &low));
     BSQ_TRY(vox_reduce_chunks(ctx, low, UINT64_MAX, NULL, false, &whole));
-    move_mesh(&whole, fmt_tris_get_header(low)->origin, fmt_tris_get_header(scan)->origin);
-    status = vox_measure(ctx, scan, &whole, INFINITY, from_scan, from_mesh);
+    move_mesh(&whole, fmt_tris_get_header(low)->origin, fmt_tris_get_header(file)->origin);
+    status = vox_measure(ctx, file, &whole, INFINITY, from_scan, from_mesh);
 done:
     vox_mesh_free(ctx, &whole);
     fmt_tris_close(low);
-    fmt_tris_close(scan);
+    fmt_tris_close(file);
     return status;
 }

@@ -10,7 +10,6 @@
 #include "base/job_files.h"
 #include "base/text.h"
 #include "libvoxel/float_precision.h"
-#include "libvoxel/normals/normals.h"
 #include "libvoxel/temp_tris.h"
 #include "libvoxel/voxelize/voxelize_run.h"
 
@@ -140,18 +139,17 @@ static int open_input(struct vox_run *run)
 {
     const char *path = run->options->tris_path;
     const struct vox_temp_tris *temp = run->options->temp_tris;
-    const uint32_t parts = run->options->part_paths ? run->options->part_count : 0;
-    BSQ_PASS(temp || parts > 0 ? fmt_tris_open_parts(run->ctx, run->options->part_paths, parts,
-                                                     temp ? &temp->file : NULL, &run->file)
-                               : fmt_tris_open(run->ctx, path, &run->file));
+    BSQ_PASS(temp ? fmt_tris_open_temp(run->ctx, &temp->file, &run->file)
+                  : fmt_tris_open(run->ctx, path, &run->file));
     run->header = fmt_tris_get_header(run->file);
     if (run->header->triangle_count == 0)
         return bsq_fail(run->ctx, BSQ_EDATA, "%s: the scan has no triangles", path);
     if (run->header->chunk_count >= UINT32_MAX)
         return bsq_fail(run->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks are too many", path,
                         run->header->chunk_count);
-    if (run->options->ids)
-        BSQ_PASS(fmt_tris_require_ids(run->file));
+    if (run->options->ids && run->header->ids == FMT_IDS_NONE)
+        return bsq_fail(run->ctx, BSQ_EDATA,
+                        "%s has no ids: make it with bisque-voxelize --channels id", path);
     BSQ_PASS(voxelize_choose_channels(run));
     BSQ_PASS(voxelize_check_channels(run));
     return vox_transform_init(run->ctx, run->header, path, run->options->resolution,
@@ -185,20 +183,44 @@ static int voxelize_find_boxes(struct vox_run *run)
                                   &run->box_count);
 }
 
-/* Makes sure that the file has the normals that the options ask for: makes others than it has in a
- * temporary file. */
+/* Replaces the file by a temporary one with other normals. */
+static int replace_normals(struct vox_run *run, enum bsq_scan_normals wanted)
+{
+    const struct vox_voxelize_options *options = run->options;
+    struct vox_temp_tris made = {.ctx = run->ctx, .file = BSQ_FILE_CLOSED};
+    struct vox_sort_report report = {.size = sizeof report};
+    const struct vox_join_options join = {.size = sizeof join,
+                                          .tris_paths = &options->tris_path,
+                                          .tris_count = options->temp_tris ? 0 : 1,
+                                          .temp_tris = &made,
+                                          .output_path = options->grid_path,
+                                          .temporary = true,
+                                          .scan_normals = wanted};
+    int status;
+    fmt_tris_close(run->file);
+    run->file = NULL;
+    if (options->temp_tris)
+        BSQ_TRY(bsq_file_duplicate(run->ctx, &options->temp_tris->file, &made.file));
+    BSQ_TRY(vox_join(run->ctx, &join, &report));
+    BSQ_TRY(fmt_tris_open_temp(run->ctx, &made.file, &run->file));
+    run->header = fmt_tris_get_header(run->file);
+done:
+    bsq_file_close(run->ctx, &made.file);
+    return status;
+}
+
+/* Makes sure that the file has the normals that the options ask for. */
 static int voxelize_choose_normals(struct vox_run *run)
 {
     const bool automatic = run->options->scan_normals == BSQ_SCAN_NORMALS_AUTO;
     const enum bsq_scan_normals wanted =
-        automatic ? fmt_tris_parts_normals(run->file) : run->options->scan_normals;
-    int status = 0;
+        automatic ? run->header->made_normals : run->options->scan_normals;
     if (run->header->attributes & FMT_TRIS_NORMALS || wanted == BSQ_SCAN_NORMALS_FLAT)
         return 0;
     if (wanted != run->header->made_normals)
-        status = vox_replace_normals(run->ctx, run->file, wanted, run->options->grid_path);
+        BSQ_PASS(replace_normals(run, wanted));
     run->smooth = run->header->made_normals != 0;
-    return status;
+    return 0;
 }
 
 static int open_run(struct vox_run *run)

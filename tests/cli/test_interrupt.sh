@@ -147,6 +147,7 @@ $try "one polygon as a scan" $(of $((size / 64))) bisque-voxelize polygon.obj -o
 $try "one polygon in little memory" $(of $((size / 64))) bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 \
     --no-tris --threads 1 --memory 80M
 $try "many materials" $(of $((size / 64))) bisque-voxelize materials.obj -o slow.nvdb --resolution 4 --no-tris
+$try "several chunk files" $(of 8) bisque-voxelize vase.tris vase.tris vase.tris -o slow.nvdb --resolution 16
 $try "one polygon as the low-poly mesh" $(of $((size / 64))) bisque-bake box.nvdb polygon.obj -o 'slow_<MAP>.exr' \
     --device cpu --size $((2 * side)) --front 4 --back 4 --two-sided --samples 1
 for surface in nvdb tris; do

@@ -121,6 +121,13 @@ if unshare --map-root-user --mount mount -t tmpfs -o size=1m tmpfs disk 2>/dev/n
 
     small_disk 200 vase.obj -o disk/a.nvdb --resolution 512
     code 0
+
+    # So does the chunk file that several become.
+    ok run bisque-voxelize vase.obj -o whole.tris
+    small_disk 40 whole.tris whole.tris -o a.nvdb --tmpdir disk --resolution 512
+    refused_like 74 '^bisque-voxelize: disk: [0-9]* bytes are needed for temporary files, [0-9]* are free$'
+    [ ! -s here.txt ] && [ ! -e a.nvdb ]
+    check "nothing was written" $?
 else
     skip "a disk that is too small is refused at the start" "no file systems can be mounted here"
 fi

@@ -145,6 +145,18 @@ ok run bisque-compare --type normal ball.exr exact.exr --max-error 5
 ok run bisque-bake p3.tris p1.tris p2.tris $above -o other.exr --threads 1
 same exact.exr other.exr
 
+# Other programs measure and simplify the whole, too, with meshes beside the parts or without.
+ok run bisque-simplify joined.tris -o joined.ply --triangles 300
+for inputs in 'p2.tris p3.tris p1.tris' 'p2.tris p3.obj p1.tris'; do
+    # shellcheck disable=SC2086 # several words
+    ok run bisque-simplify $inputs -o parts.ply --triangles 300 --threads 1 --memory 60MiB
+    same joined.ply parts.ply
+done
+run bisque-compare joined.ply joined.tris
+sed 's/joined.tris/p3.tris/' "$out" >joined.txt
+ok run bisque-compare joined.ply p3.tris p1.tris p2.tris
+same "$out" joined.txt
+
 # ---- other normals than a chunk file has ----
 
 ok run bisque-voxelize ball.obj --resolution 8 -o x.nvdb --tris angle.tris --scan-normals angle
@@ -299,6 +311,27 @@ for normals in smooth flat; do
         ok run bisque-compare --type data noisy_position.exr ${grid}_position.exr --max-error 1e-4
         ok run bisque-compare --type data noisy_color.exr ${grid}_color.exr --max-error 0.01
     done
+done
+
+# ---- channels and ids that some parts lack ----
+
+printf 'newmtl glossy\nPr 0.5\nPm 1\n' >pbr.mtl
+{ printf 'mtllib pbr.mtl\nusemtl glossy\n' && cat a.obj; } >pbr.obj
+ok run bisque-voxelize pbr.obj -o pbr.tris --channels roughness,metallic
+ok run bisque-voxelize pbr.obj -o rough.tris --channels id,roughness
+for inputs in 'pbr.tris rough.tris' 'rough.tris pbr.tris'; do
+    # shellcheck disable=SC2086 # several words
+    ok run bisque-voxelize $inputs -o rough_all.tris
+    holds "warning of the channel" grep -qx "$p warning: pbr.tris: the channel metallic is not kept, because rough.tris has none" "$err"
+    holds "warning of the ids" grep -qE "$p warning: ids are not kept, because (pbr|rough).tris and (pbr|rough).tris do not have the same kind$" "$err"
+    run bisque-voxelize --info rough_all.tris --json
+    json '.files[0].channels == ["roughness"]'
+    # shellcheck disable=SC2086
+    ok run bisque-voxelize $inputs --resolution 100 --channels roughness -o x.nvdb
+    holds "no warning of what a grid does not need" [ ! -s "$err" ]
+    # shellcheck disable=SC2086
+    run bisque-voxelize $inputs --resolution 100 --channels metallic -o y.nvdb
+    refused 65 "$p the scan has no channel metallic: make it with bisque-voxelize --channels metallic"
 done
 
 # ---- colours that some parts lack ----

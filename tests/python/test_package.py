@@ -44,6 +44,21 @@ def test_scans_in_memory_and_files_give_the_same_chunks(scan, tmp_path):
         assert (tmp_path / "memory.tris").read_bytes() == expected, name
 
 
+def test_several_chunk_files_are_one_scan(scan, tmp_path):
+    vertices, faces = scan
+    parts = [tmp_path / "a.tris", tmp_path / "b.tris"]
+    for part, half in zip(parts, np.array_split(faces, 2)):
+        bisque.sort((vertices, half), part)
+    subprocess.run([f"{BIN}/bisque-voxelize", *parts, "-o", tmp_path / "all.tris"], check=True, capture_output=True)
+    for given in (parts, tmp_path / "all.tris"):
+        bisque.voxelize(given, tmp_path / f"{type(given).__name__}.nvdb", resolution=64)
+    grids = [path.read_bytes() for path in tmp_path.glob("*.nvdb")]
+    assert len(grids) == 2 and grids[0] == grids[1]
+    lows = [bisque.simplify(given, triangles=200) for given in (parts[::-1], tmp_path / "all.tris")]
+    assert np.array_equal(lows[0].vertices, lows[1].vertices)
+    assert bisque.measure(lows[0], parts) == bisque.measure(lows[0], tmp_path / "all.tris")
+
+
 def test_a_scan_in_memory_is_not_copied(tmp_path):
     """Resident memory grows by less than half of the arrays, within a small budget."""
     code = f"""

@@ -223,17 +223,19 @@ static int voxelize(struct bsq_ctx *ctx)
     return voxelize_to(ctx, "out.nvdb");
 }
 
-static int voxelize_parts(struct bsq_ctx *ctx)
+static int join(struct bsq_ctx *ctx)
 {
     static const char *const paths[] = {"scan.tris", "scan.tris"};
-    struct vox_voxelize_report report = {.size = sizeof report};
-    struct vox_voxelize_options options = {.size = sizeof(struct vox_voxelize_options),
-                                           .tris_path = paths[0],
-                                           .part_paths = paths,
-                                           .part_count = 2,
-                                           .grid_path = "out.nvdb",
-                                           .resolution = 40};
-    return vox_voxelize(ctx, &options, &report);
+    struct vox_sort_report report = {.size = sizeof report};
+    const struct vox_join_options options = {.size = sizeof options,
+                                             .tris_paths = paths,
+                                             .tris_count = 2,
+                                             .output_path = "out.tris",
+                                             .scan_normals = BSQ_SCAN_NORMALS_AREA};
+    const int status = vox_join(ctx, &options, &report);
+    if (status == 0)
+        assert_int_equal(report.triangles, 4 * SIDE * SIDE);
+    return status;
 }
 
 static int verify_tris(struct bsq_ctx *ctx)
@@ -375,7 +377,7 @@ EXHAUST(parse, 1)
 EXHAUST(load_mesh, 1)
 EXHAUST(sort, 1)
 EXHAUST(voxelize, 1)
-EXHAUST(voxelize_parts, 1)
+EXHAUST(join, 1)
 EXHAUST(verify_tris, 1)
 EXHAUST(verify_nvdb, 1)
 EXHAUST(bake_grid, 1)

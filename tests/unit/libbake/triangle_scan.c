@@ -150,9 +150,8 @@ static bool find_normals(const struct triangle_scan *scan, const struct corner *
 /* Writes the section of normals, of the whole mesh. */
 static void write_normals(const struct triangle_scan *scan, struct fmt_tris_writer *writer)
 {
-    struct fmt_tris_normals_writer *section;
-    assert_int_equal(fmt_tris_normals_begin(writer, &section), 0);
-    const struct fmt_tris_file *file = fmt_tris_normals_file(section);
+    struct fmt_tris_file *file;
+    assert_int_equal(fmt_tris_normals_begin(writer, &file), 0);
     assert_true(scan->triangle_count > 0);
     struct facet *facets = calloc(3 * (size_t)scan->triangle_count, sizeof *facets);
     struct corner *corners = calloc(3 * (size_t)scan->triangle_count, sizeof *corners);
@@ -175,16 +174,16 @@ static void write_normals(const struct triangle_scan *scan, struct fmt_tris_writ
                 creases[count++] = (struct fmt_tris_crease){.vertex = v, .second = both[1]};
             normals[v] = both[0];
         }
-        assert_int_equal(fmt_tris_normals_put(section, c, normals), 0);
+        assert_int_equal(fmt_tris_normals_put(writer, c, normals), 0);
         assert_int_equal(
-            fmt_tris_normals_finish(section, c, creases, count,
+            fmt_tris_normals_finish(writer, c, creases, count,
                                     fmt_tris_normals_checksum(normals, chunk.vertex_count, count)),
             0);
         free(normals);
         free(scratch);
     }
-    assert_int_equal(fmt_tris_normals_end(section, BSQ_SCAN_NORMALS_AREA), 0);
-    fmt_tris_normals_free(section);
+    fmt_tris_normals_end(writer, BSQ_SCAN_NORMALS_AREA);
+    fmt_tris_close(file);
     free(facets);
     free(corners);
 }

@@ -109,8 +109,7 @@ static void simplify(struct bsq_ctx *ctx, const char *tris, const char *path, do
     struct vox_simplify_report report = {.size = sizeof report};
     struct vox_simplify_options options;
     vox_simplify_defaults(&options);
-    options.tris_paths = &tris;
-    options.tris_count = 1;
+    options.tris_path = tris;
     options.output_paths = &path;
     options.targets = &target;
     options.target_count = error > 0 ? 0 : 1;

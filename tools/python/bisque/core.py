@@ -315,14 +315,22 @@ def is_chunks(scan: Any, job: Job | None = None) -> bool:
         return all(_kind(job, path) == lib.FMT_KIND_TRIS for path in _paths(scan))
 
 
-def _chunks(job: Job, scan: Any, scan_normals: str = "flat") -> str | list[str]:
-    """Returns the paths of a scan as chunk files; sorts meshes into a temporary one, with these
-    vertex normals."""
-    if is_chunks(scan, job):
-        return _paths(scan)
+def _chunks(job: Job, scan: Any, scan_normals: str = "flat") -> str:
+    """Returns the path of a scan as a chunk file; sorts meshes into a temporary one, or joins chunk
+    files, with these vertex normals."""
+    chunks = _paths(scan) if is_chunks(scan, job) else []
+    if len(chunks) == 1:
+        return chunks[0]
     path = job.temporary("scan.tris")
-    _sort(job, scan, path, scan_normals=scan_normals)
-    return [path]
+    if chunks:
+        options = ffi.new("struct vox_join_options *", {"size": ffi.sizeof("struct vox_join_options")})
+        options.tris_paths, options.tris_count = job.strings(chunks), len(chunks)
+        options.output_path = job.string(path)
+        options.scan_normals = _word("scan_normals", scan_normals, NORMALS)
+        job.run(lib.vox_join, options, _new_report("struct vox_sort_report"))
+    else:
+        _sort(job, scan, path, scan_normals=scan_normals)
+    return path
 
 
 def sort(scan: Any, output: str | os.PathLike, *, texture: Any = None, ids: str = "none",
@@ -346,12 +354,9 @@ def voxelize(scan: Any, output: str | os.PathLike, *, resolution: int = 2048,
     """Voxelizes a scan into a grid (.nvdb) of `resolution` voxels along its longest side, or with
     voxels of an edge in the scan's units. Returns the report. Raises Error."""
     with Job(memory, threads, tmpdir, progress) as job:
-        chunks = _chunks(job, scan, scan_normals)
         options = ffi.new("struct vox_voxelize_options *")
         lib.vox_voxelize_defaults(options)
-        options.tris_path = job.string(chunks[0])
-        if len(chunks) > 1:
-            raise ValueError("voxelize: several chunk files need bisque-voxelize, or sort() first")
+        options.tris_path = job.string(_chunks(job, scan, scan_normals))
         options.grid_path = job.string(os.fspath(output))
         options.resolution = 0 if voxel_size else resolution
         options.voxel_size = voxel_size or 0
@@ -374,11 +379,10 @@ def simplify(scan: Any, output: str | os.PathLike | None = None, *, triangles: i
     if (triangles is None) == (error is None):
         raise ValueError("simplify: either triangles or error is needed")
     with Job(memory, threads, tmpdir, progress) as job:
-        chunks = _chunks(job, scan)
         path = os.fspath(output) if output else job.temporary("low.ply")
         options = ffi.new("struct vox_simplify_options *")
         lib.vox_simplify_defaults(options)
-        options.tris_paths, options.tris_count = job.strings(chunks), len(chunks)
+        options.tris_path = job.string(_chunks(job, scan))
         options.output_paths = job.strings([path])
         options.targets = job.keep(ffi.new("uint64_t[]", [check_number("triangles", triangles or 0, 0, 2 ** 63)]))
         options.target_count = triangles is not None
@@ -403,8 +407,7 @@ def measure(low: Any, scan: Any, *, memory: int | str | None = None, threads: in
         job.run(lib.vox_temp_tris_create, mesh)
         try:
             _sort(job, low, job.temporary("mesh.tris"), scan_normals="flat", temporary=mesh[0])
-            job.run(lib.vox_measure_mesh, job.strings(chunks), len(chunks), mesh[0], from_scan,
-                    from_mesh)
+            job.run(lib.vox_measure_mesh, job.string(chunks), ffi.NULL, mesh[0], from_scan, from_mesh)
         finally:
             lib.vox_temp_tris_close(mesh[0])
         return {"from_scan": _plain(from_scan), "from_mesh": _plain(from_mesh)}
@@ -499,7 +502,7 @@ def _scan_paths(job: Job, scan: Any) -> list[str]:
     if not _is_memory(scan) and all(
             _kind(job, path) in (lib.FMT_KIND_TRIS, lib.FMT_KIND_NVDB) for path in _paths(scan)):
         return _paths(scan)
-    return _chunks(job, scan, "auto")
+    return [_chunks(job, scan, "auto")]
 
 
 def _low_path(job: Job, low: Any) -> str:

@@ -277,7 +277,6 @@ FIXTURE_TEST(bytes_are_those_of_the_specification)
 
 FIXTURE_TEST(bytes_of_made_normals_are_those_of_the_specification)
 {
-    struct fmt_tris_normals_writer *writer;
     size_t size;
     uint8_t *b = tris_write_normals(f, &size);
     const size_t chunks = tris_u64_at(b, 96), materials = tris_u64_at(b, 104),
@@ -311,22 +310,6 @@ FIXTURE_TEST(bytes_of_made_normals_are_those_of_the_specification)
     assert_int_equal(normals.crease_count, 2);
     assert_true(normals.vertices[3] == tris_made_normal(1, 3));
     assert_int_equal(normals.creases[1].vertex, 8);
-    /* A section in a temporary file takes its place. */
-    assert_int_equal(fmt_tris_normals_begin_temp(file, NULL, &writer), 0);
-    for (uint64_t c = 0; c < 2; c++) {
-        const uint64_t zeros[9] = {0};
-        const uint32_t count = fmt_tris_chunks(file)[c].vertex_count;
-        assert_int_equal(fmt_tris_normals_put(writer, c, zeros), 0);
-        assert_int_equal(
-            fmt_tris_normals_finish(writer, c, NULL, 0, fmt_tris_normals_checksum(zeros, count, 0)),
-            0);
-    }
-    assert_int_equal(fmt_tris_normals_end(writer, BSQ_SCAN_NORMALS_MAX), 0);
-    fmt_tris_normals_free(writer);
-    assert_int_equal(fmt_tris_get_header(file)->made_normals, BSQ_SCAN_NORMALS_MAX);
-    assert_int_equal(fmt_tris_load_normals(file, 1, scratch, &normals), 0);
-    assert_int_equal(normals.crease_count, 0);
-    assert_true(normals.vertices[3] == 0);
     fmt_tris_close(file);
     free(b);
 }
@@ -368,9 +351,6 @@ FIXTURE_TEST(channels_come_back)
     assert_true(first[1].uv.moves && first[1].uv.scale[0] == 2 && first[1].uv.offset[1] == -0.5f);
     assert_string_equal(second[0].texture_path, "/r.png");
     assert_true(second[1].value[2] == 3);
-    assert_int_equal(fmt_tris_require_channel(file, "roughness"), 0);
-    assert_int_equal(fmt_tris_require_channel(file, "gloss"), BSQ_EDATA);
-    assert_non_null(strstr(bsq_error(f->ctx), "bisque-voxelize --channels gloss"));
     fmt_tris_close(file);
     free(bytes);
 }

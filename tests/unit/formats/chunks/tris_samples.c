@@ -71,8 +71,8 @@ uint64_t tris_made_normal(uint64_t chunk, uint64_t vertex)
 /* Writes the section of tris_write_normals(). */
 static void write_normals(struct fmt_tris_writer *writer)
 {
-    struct fmt_tris_normals_writer *section;
-    assert_int_equal(fmt_tris_normals_begin(writer, &section), 0);
+    struct fmt_tris_file *file;
+    assert_int_equal(fmt_tris_normals_begin(writer, &file), 0);
     for (uint64_t c = 0; c < 2; c++) {
         const uint32_t vertices = 7 + 2 * (uint32_t)c, count = 2 * (uint32_t)c;
         uint64_t normals[9 + 4];
@@ -81,14 +81,14 @@ static void write_normals(struct fmt_tris_writer *writer)
         for (uint32_t v = 0; v < vertices; v++)
             normals[v] = tris_made_normal(c, v);
         memcpy(normals + vertices, creases, count * sizeof *creases);
-        assert_int_equal(fmt_tris_normals_put(section, c, normals), 0);
+        assert_int_equal(fmt_tris_normals_put(writer, c, normals), 0);
         assert_int_equal(
-            fmt_tris_normals_finish(section, c, creases, count,
+            fmt_tris_normals_finish(writer, c, creases, count,
                                     fmt_tris_normals_checksum(normals, vertices, count)),
             0);
     }
-    assert_int_equal(fmt_tris_normals_end(section, BSQ_SCAN_NORMALS_ANGLE), 0);
-    fmt_tris_normals_free(section);
+    fmt_tris_normals_end(writer, BSQ_SCAN_NORMALS_ANGLE);
+    fmt_tris_close(file);
 }
 
 /* Writes the first samples of a fixture. normals: with made ones. */

@@ -1,5 +1,6 @@
 /* Tests that the vertex normals of a chunk file do not depend on chunks, threads and memory. */
-#include "libvoxel/normals/normals.h"
+#include "libvoxel/voxel.h"
+#include "formats/chunks/tris.h"
 #include "base/geometry/smooth_normals.h"
 #include "base/geometry/vertex_normal.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
@@ -30,14 +31,24 @@ static enum bsq_scan_normals weights_of(const struct fixture *f)
 
 /* ---- chunks ---- */
 
-/* Makes the normals of a file by these weights. */
-static void make_normals(struct bsq_ctx *ctx, struct fmt_tris_file *file,
-                         enum bsq_scan_normals weights)
+/* Writes scan.tris again with normals by these weights, and opens that. */
+static void make_normals(struct bsq_ctx *ctx, enum bsq_scan_normals weights,
+                         struct fmt_tris_file **file)
 {
-    const int status = vox_replace_normals(ctx, file, weights, NULL);
+    static const char *const path = "scan.tris";
+    struct vox_sort_report report = {.size = sizeof report};
+    const struct vox_join_options options = {.size = sizeof options,
+                                             .tris_paths = &path,
+                                             .tris_count = 1,
+                                             .output_path = "made.tris",
+                                             .scan_normals = weights};
+    int status = vox_join(ctx, &options, &report);
+    if (status == 0)
+        status = fmt_tris_open(ctx, "made.tris", file);
     if (status < 0)
         print_message("%s\n", bsq_error(ctx));
     assert_int_equal(status, 0);
+    unlink("made.tris");
 }
 
 static void decode(struct fixture *f, uint32_t index)
@@ -54,8 +65,7 @@ static void begin(struct fixture *f, uint32_t chunk_triangles)
 {
     f->ctx = test_context(1, 64 << 20);
     scan_write(f->ctx, "scan.tris", &f->mesh, (double[3]){0, 0, 0}, NULL, 0, chunk_triangles);
-    assert_int_equal(fmt_tris_open(f->ctx, "scan.tris", &f->file), 0);
-    make_normals(f->ctx, f->file, weights_of(f));
+    make_normals(f->ctx, weights_of(f), &f->file);
     f->chunk_count = (uint32_t)fmt_tris_get_header(f->file)->chunk_count;
     assert_true(f->chunk_count > 1 && f->chunk_count <= CHUNKS_MAX);
     for (uint32_t i = 0; i < f->chunk_count; i++)
@@ -434,8 +444,7 @@ static uint64_t normals_of_soup(unsigned threads, uint64_t memory, uint32_t tria
         scan_set_triangle(&mesh, t, 3 * t, 3 * t + 1, 3 * t + 2);
     scan_write(ctx, "scan.tris", &mesh, NULL, NULL, 0, 1000);
     struct fmt_tris_file *file;
-    assert_int_equal(fmt_tris_open(ctx, "scan.tris", &file), 0);
-    make_normals(ctx, file, BSQ_SCAN_NORMALS_ANGLE);
+    make_normals(ctx, BSQ_SCAN_NORMALS_ANGLE, &file);
     const struct fmt_tris_header *header = fmt_tris_get_header(file);
     for (uint64_t i = 0; i < header->chunk_count; i++)
         sum = sum * 31 + fmt_tris_chunks(file)[i].normals_checksum;

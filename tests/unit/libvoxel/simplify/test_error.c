@@ -129,19 +129,17 @@ static double farthest(const struct mesh *from, const struct mesh *to)
 static void begin_simplifying(struct bsq_ctx *ctx, unsigned n, uint64_t *seed,
                               struct vox_simplify_options *options)
 {
-    static const char *const scans[] = {"scan.obj"}, *const tris[] = {"scan.tris"},
-                             *const lows[] = {"low.obj"};
+    static const char *const scans[] = {"scan.obj"}, *const lows[] = {"low.obj"};
     struct vox_sort_options sort;
     struct vox_sort_report sorted = {.size = sizeof sorted};
     write_scan(n, seed);
     vox_sort_defaults(&sort);
     sort.scan_paths = scans;
     sort.scan_count = 1;
-    sort.tris_path = tris[0];
+    sort.tris_path = "scan.tris";
     assert_int_equal(vox_sort(ctx, &sort, &sorted), 0);
     vox_simplify_defaults(options);
-    options->tris_paths = tris;
-    options->tris_count = 1;
+    options->tris_path = "scan.tris";
     options->output_paths = lows;
 }
 
