@@ -140,23 +140,24 @@ LANES_INLINE int add_fragment(const struct source *from, const struct block_fact
 LANES_INLINE int add_run(const struct source *from, const uint32_t *run, uint32_t count)
 {
     const double *block = (const void *)from->block;
-    BSQ_PASS(vox_accumulator_reserve(from->sums));
-    for (uint32_t i = 0; i < count; i++) {
+    int status = vox_accumulator_reserve(from->sums);
+    for (uint32_t i = 0; i < count && status == 0; i++) {
         const struct block_fragment *fragment = (const void *)(block + run[i] % BLOCK_RUN_FACTS);
-        BSQ_PASS(add_fragment(from, (const void *)(block + run[i] / BLOCK_RUN_FACTS), fragment,
-                              shade_cells + fragment->cell, NULL));
+        status = add_fragment(from, (const void *)(block + run[i] / BLOCK_RUN_FACTS), fragment,
+                              shade_cells + fragment->cell, NULL);
     }
-    return 0;
+    return status;
 }
 
 LANES_INLINE int add_runs(const struct source *from, uint32_t count)
 {
-    for (uint32_t done = 0; done < count; done += VOX_FRAGMENTS_AT_ONCE) {
+    int status = 0;
+    for (uint32_t done = 0; done < count && status == 0; done += VOX_FRAGMENTS_AT_ONCE) {
         uint32_t left = count - done;
-        BSQ_PASS(add_run(from, from->block->run + done,
-                         left < VOX_FRAGMENTS_AT_ONCE ? left : VOX_FRAGMENTS_AT_ONCE));
+        status = add_run(from, from->block->run + done,
+                         left < VOX_FRAGMENTS_AT_ONCE ? left : VOX_FRAGMENTS_AT_ONCE);
     }
-    return 0;
+    return status;
 }
 
 /* Adds the first `count` fragments of the run. Constant flags let the compiler make a loop for most
@@ -302,7 +303,9 @@ static int take_fragment(void *arg, const struct vox_fragment *fragment)
     }
     s->queue.number[i] = vox_voxel_number(at[0], at[1], at[2]) | s->triangles.class_bits[0] |
                          (long long)(BLOCK_FRAGMENTS + i) << NUMBER_PLACE;
-    BSQ_PASS(sample_textures(s, fragment, i));
+    int status = sample_textures(s, fragment, i);
+    if (status < 0)
+        return status;
     return s->queue.count == LANE_COUNT ? add_waiting(s) : 0;
 }
 

@@ -293,7 +293,9 @@ CLIP_INLINE int clip_cut(struct clip_state *c, const struct clip_polygon *p, int
         if (i < from)
             continue;
         c->cell[axis] = i;
-        BSQ_PASS(next(c, current, sink));
+        int status = next(c, current, sink);
+        if (status != 0)
+            return status;
     }
     return 0;
 }
