@@ -487,11 +487,9 @@ static int finish(void *arg, void *slot_memory, uint64_t sequence)
 void fmt_stream_free_slot(struct stream_slot *slot)
 {
     struct mesh_arrays *a = &slot->arrays;
-    void *memory[] = {a->positions,  a->colors,     a->texcoords,  a->normals,      a->face_sizes,
-                      a->corners[0], a->corners[1], a->corners[2], a->face_tags,    a->late_colors,
-                      a->changes,    slot->bytes,   slot->work,    slot->statements};
-    for (size_t i = 0; i < sizeof memory / sizeof *memory; i++)
-        bsq_free(slot->ctx, memory[i]);
+    BSQ_FREE(slot->ctx, a->positions, a->colors, a->texcoords, a->normals, a->face_sizes,
+             a->corners[0], a->corners[1], a->corners[2], a->face_tags, a->late_colors, a->changes,
+             slot->bytes, slot->work, slot->statements);
 }
 
 static unsigned count_slots(const struct fmt_mesh_reader *reader)

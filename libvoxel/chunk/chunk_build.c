@@ -65,10 +65,8 @@ void vox_chunk_builder_free(struct chunk_builder *b)
 {
     if (!b->ctx)
         return;
-    void *parts[] = {b->positions, b->normals, b->texcoords, b->colors, b->triangles,
-                     b->materials, b->table,   b->cache,     b->plain,  b->encoded};
-    for (size_t i = 0; i < sizeof parts / sizeof *parts; i++)
-        bsq_free(b->ctx, parts[i]);
+    BSQ_FREE(b->ctx, b->positions, b->normals, b->texcoords, b->colors, b->triangles, b->materials,
+             b->table, b->cache, b->plain, b->encoded);
     memset(b, 0, sizeof *b);
 }
 

@@ -79,9 +79,7 @@ void vox_batch_close(struct batch *b)
 {
     for (unsigned i = 0; b->readers && i < b->reader_count; i++)
         vox_run_reader_free(&b->readers[i]);
-    void *buffers[] = {b->readers, b->slices, b->scratch, b->entries, b->spare_tuples, b->tuples};
-    for (size_t i = 0; b->ctx && i < sizeof buffers / sizeof *buffers; i++)
-        bsq_free(b->ctx, buffers[i]);
+    BSQ_FREE(b->ctx, b->readers, b->slices, b->scratch, b->entries, b->spare_tuples, b->tuples);
     vox_gather_close(&b->window);
     memset(b, 0, sizeof *b);
 }

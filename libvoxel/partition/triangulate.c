@@ -51,11 +51,8 @@ int vox_triangulator_init(struct triangulator *t, struct bsq_ctx *ctx,
 
 void vox_triangulator_free(struct triangulator *t)
 {
-    void *parts[] = {t->runs,  t->bytes,  t->corners, t->buckets,           t->materials,
-                     t->order, t->counts, t->polygon, t->polygon_triangles, t->polygon_scratch,
-                     t->pages};
-    for (size_t i = 0; t->ctx && i < sizeof parts / sizeof *parts; i++)
-        bsq_free(t->ctx, parts[i]);
+    BSQ_FREE(t->ctx, t->runs, t->bytes, t->corners, t->buckets, t->materials, t->order, t->counts,
+             t->polygon, t->polygon_triangles, t->polygon_scratch, t->pages);
     memset(t, 0, sizeof *t);
 }
 
