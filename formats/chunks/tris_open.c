@@ -256,8 +256,7 @@ static int parse_material(struct fmt_tris_file *file, struct cursor *cursor,
 {
     const uint32_t count = file->header.channel_count;
     struct fmt_tris_source own = {0};
-    int status;
-    BSQ_TRY(parse_source(file, cursor, TRIS_COLORLESS | TRIS_TINTED, &own));
+    BSQ_PASS(parse_source(file, cursor, TRIS_COLORLESS | TRIS_TINTED, &own));
     memcpy(m->diffuse, own.value, sizeof m->diffuse);
     m->colorless = own.component & TRIS_COLORLESS;
     m->tinted = own.component & TRIS_TINTED;
@@ -266,10 +265,9 @@ static int parse_material(struct fmt_tris_file *file, struct cursor *cursor,
     if (!take_name(cursor, &m->name))
         return fmt_tris_damaged(file, "a material's name is cut off");
     m->sources = count > 0 ? file->sources + (m - file->header.materials) * (ptrdiff_t)count : NULL;
-    for (uint32_t c = 0; c < count && status == 0; c++)
-        status = parse_source(file, cursor, FMT_CHANNEL_COMPONENTS - 1, &m->sources[c]);
-done:
-    return status;
+    for (uint32_t c = 0; c < count; c++)
+        BSQ_PASS(parse_source(file, cursor, FMT_CHANNEL_COMPONENTS - 1, &m->sources[c]));
+    return 0;
 }
 
 /* Reads the names of channels, no two of which are equal. */

@@ -303,9 +303,7 @@ static int take_fragment(void *arg, const struct vox_fragment *fragment)
     }
     s->queue.number[i] = vox_voxel_number(at[0], at[1], at[2]) | s->triangles.class_bits[0] |
                          (long long)(BLOCK_FRAGMENTS + i) << NUMBER_PLACE;
-    int status = sample_textures(s, fragment, i);
-    if (status < 0)
-        return status;
+    BSQ_PASS(sample_textures(s, fragment, i));
     return s->queue.count == LANE_COUNT ? add_waiting(s) : 0;
 }
 
