@@ -11,15 +11,13 @@
 static int voxelize_tool_recognise_inputs(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
-    int status = 0;
-    BSQ_TRY(cli_recognise_scans(job->cli, arguments->inputs, arguments->input_count,
-                                "already a grid; grids are made from meshes or chunk files",
-                                &job->scans));
+    BSQ_PASS(cli_recognise_scans(job->cli, arguments->inputs, arguments->input_count,
+                                 "already a grid; grids are made from meshes or chunk files",
+                                 &job->scans));
     if (job->scans.chunk_count > 0)
-        status = voxelize_arguments_check_part(job->cli, arguments, job->scans.chunks[0],
-                                               job->scans.mesh_count > 0);
-done:
-    return status;
+        return voxelize_arguments_check_part(job->cli, arguments, job->scans.chunks[0],
+                                             job->scans.mesh_count > 0);
+    return 0;
 }
 
 /* Notes the images of the options as inputs. */

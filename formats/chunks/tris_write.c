@@ -274,15 +274,12 @@ done:
 static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tris_header *header)
 {
     static const char zeros[8];
-    int status = 0;
     for (uint32_t c = 0; c < header->channel_count; c++)
-        BSQ_TRY(put_name(writer, header->channels[c]));
+        BSQ_PASS(put_name(writer, header->channels[c]));
     for (uint32_t i = 0; i < header->material_count; i++)
-        BSQ_TRY(put_material(writer, &header->materials[i], header->channel_count));
-    status =
-        tris_put(writer, zeros, bsq_align_up(writer->materials_bytes, 8) - writer->materials_bytes);
-done:
-    return status;
+        BSQ_PASS(put_material(writer, &header->materials[i], header->channel_count));
+    return tris_put(writer, zeros,
+                    bsq_align_up(writer->materials_bytes, 8) - writer->materials_bytes);
 }
 
 /* ---- the file ---- */

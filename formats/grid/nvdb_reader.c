@@ -379,20 +379,18 @@ int fmt_nvdb_check_header(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
 {
     struct head h = {
         .ctx = ctx, .path = grid->map.path, .file = grid->map.data, .size = grid->map.size};
-    int status;
     if (h.size > 0)
         memcpy(&h.fixed, h.file, h.size < sizeof h.fixed ? h.size : sizeof h.fixed);
-    BSQ_TRY(check_file_header(&h));
-    BSQ_TRY(check_grid_data(&h));
-    BSQ_TRY(read_trailer(&h));
-    BSQ_TRY(read_counts(&h));
-    BSQ_TRY(nvdb_read_channels(&h));
-    BSQ_TRY(check_head(&h));
+    BSQ_PASS(check_file_header(&h));
+    BSQ_PASS(check_grid_data(&h));
+    BSQ_PASS(read_trailer(&h));
+    BSQ_PASS(read_counts(&h));
+    BSQ_PASS(nvdb_read_channels(&h));
+    BSQ_PASS(check_head(&h));
     fill_grid(&h, grid);
     if (grid->names && !check_names(grid))
-        status = damaged(&h, "names of ids");
-done:
-    return status;
+        return damaged(&h, "names of ids");
+    return 0;
 }
 
 void fmt_nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *layout)

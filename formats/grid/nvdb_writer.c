@@ -356,17 +356,15 @@ static int nvdb_append_records(struct fmt_nvdb_writer *writer, bool second,
                    {NVDB_PLANES, offsetof(struct fmt_nvdb_record, plane)},
                    {NVDB_COLORS, offsetof(struct fmt_nvdb_record, color)},
                    {NVDB_IDS, offsetof(struct fmt_nvdb_record, id)}};
-    int status = 0;
     for (size_t i = 0; i < sizeof members / sizeof *members; i++) {
         struct nvdb_stream *stream = &writer->stream[members[i].section][second];
         if (stream->spill)
-            BSQ_TRY(append_channel(stream, records, count, members[i].member));
+            BSQ_PASS(append_channel(stream, records, count, members[i].member));
     }
     if (values)
-        status = nvdb_put(&writer->stream[NVDB_CHANNELS][second], values,
-                          count * writer->counts.channel_words * sizeof *values);
-done:
-    return status;
+        return nvdb_put(&writer->stream[NVDB_CHANNELS][second], values,
+                        count * writer->counts.channel_words * sizeof *values);
+    return 0;
 }
 
 /* Writes the open entry of section NVDB_SECONDS. */

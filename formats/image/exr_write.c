@@ -194,17 +194,15 @@ static int exr_out_create_encoder(struct fmt_image_writer *base, void *memory)
         (uint64_t)base->block_rows * (base->tile_side > 0 ? base->tile_side : base->width);
     const uint64_t bytes =
         texels * base->channel_count * (((struct exr_writer *)base)->as_half ? 2 : sizeof(float));
-    int status;
-    BSQ_TRY(bsq_alloc(ctx, "EXR block", bytes, 1, &encoder->chunk));
-    BSQ_TRY(bsq_alloc(ctx, "EXR block", bytes, 1, &encoder->ordered));
-    BSQ_TRY(bsq_alloc(ctx, "EXR block", bytes, 1, &encoder->deflated));
-    BSQ_TRY(bsq_reserve(ctx, "EXR compression", COMPRESSOR_BYTES));
+    BSQ_PASS(bsq_alloc(ctx, "EXR block", bytes, 1, &encoder->chunk));
+    BSQ_PASS(bsq_alloc(ctx, "EXR block", bytes, 1, &encoder->ordered));
+    BSQ_PASS(bsq_alloc(ctx, "EXR block", bytes, 1, &encoder->deflated));
+    BSQ_PASS(bsq_reserve(ctx, "EXR compression", COMPRESSOR_BYTES));
     encoder->reserved_bytes = COMPRESSOR_BYTES;
     encoder->compressor = libdeflate_alloc_compressor(LEVEL);
     if (!encoder->compressor)
-        status = bsq_fail(ctx, BSQ_ENOMEM, "the system has no memory left for EXR compression");
-done:
-    return status;
+        return bsq_fail(ctx, BSQ_ENOMEM, "the system has no memory left for EXR compression");
+    return 0;
 }
 
 static void exr_out_free_encoder(struct fmt_image_writer *base, void *memory)

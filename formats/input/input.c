@@ -403,21 +403,18 @@ done:
 int fmt_input_read(struct fmt_input *input, void *buffer, uint64_t size, uint64_t offset)
 {
     uint64_t got;
-    int status = 0;
     if (fmt_input_is_plain(input) && !input->source)
         return bsq_file_read(input->ctx, &input->file, buffer, size, offset);
-    BSQ_TRY(fmt_input_read_some(input, buffer, size, offset, &got));
+    BSQ_PASS(fmt_input_read_some(input, buffer, size, offset, &got));
     if (got < size && !is_pipe(input) &&
         !input->source) /* it may have been changed before it was unpacked again */
-        BSQ_TRY(bsq_file_check(input->ctx, &input->file));
+        BSQ_PASS(bsq_file_check(input->ctx, &input->file));
     if (got < size)
-        status =
-            bsq_fail(input->ctx, BSQ_EDATA,
-                     "%s: truncated: %" PRIu64 " bytes expected at byte %" PRIu64
-                     " of the %s, %" PRIu64 " there",
-                     input->path, size, offset, input->source ? "input" : "unpacked file", got);
-done:
-    return status;
+        return bsq_fail(input->ctx, BSQ_EDATA,
+                        "%s: truncated: %" PRIu64 " bytes expected at byte %" PRIu64
+                        " of the %s, %" PRIu64 " there",
+                        input->path, size, offset, input->source ? "input" : "unpacked file", got);
+    return 0;
 }
 
 int fmt_input_whole(struct fmt_input *input, struct bsq_file *out)

@@ -185,11 +185,10 @@ int fmt_gltf_read_view(const struct gltf_item *item, struct gltf_source *source,
     const json_t *meshopt = fmt_gltf_extension(item->object, "EXT_meshopt_compression");
     uint64_t size = GLTF_REQUIRED, offset = 0, stride = 0;
     *out = (struct gltf_view){.buffer = GLTF_NONE};
-    int status;
-    BSQ_TRY(fmt_gltf_index(item, item->object, "buffer", "buffers", &out->buffer));
-    BSQ_TRY(fmt_gltf_number(item, item->object, "byteLength", INT64_MAX / 4, &size));
-    BSQ_TRY(fmt_gltf_number(item, item->object, "byteOffset", INT64_MAX / 4, &offset));
-    BSQ_TRY(fmt_gltf_number(item, item->object, "byteStride", MOST_STRIDE, &stride));
+    BSQ_PASS(fmt_gltf_index(item, item->object, "buffer", "buffers", &out->buffer));
+    BSQ_PASS(fmt_gltf_number(item, item->object, "byteLength", INT64_MAX / 4, &size));
+    BSQ_PASS(fmt_gltf_number(item, item->object, "byteOffset", INT64_MAX / 4, &offset));
+    BSQ_PASS(fmt_gltf_number(item, item->object, "byteStride", MOST_STRIDE, &stride));
     if (out->buffer == GLTF_NONE)
         return fmt_gltf_fail(item, "\"buffer\" is missing");
     const uint64_t bytes = source->buffers[out->buffer].extent.size;
@@ -203,10 +202,7 @@ int fmt_gltf_read_view(const struct gltf_item *item, struct gltf_source *source,
     out->stride = (uint32_t)stride;
     if (meshopt)
         return fmt_gltf_read_packed_view(item, source, meshopt, out);
-    status =
-        source->buffers[out->buffer].missing ? fmt_gltf_fail(item, "its buffer has no data") : 0;
-done:
-    return status;
+    return source->buffers[out->buffer].missing ? fmt_gltf_fail(item, "its buffer has no data") : 0;
 }
 
 /* ---- bytes ---- */

@@ -254,15 +254,13 @@ static int read_texture(const struct gltf_item *item, struct gltf_source *source
     struct gltf_document *d = item->document;
     struct fmt_extent extent;
     uint32_t texture = GLTF_NONE;
-    int status;
-    BSQ_TRY(fmt_gltf_index(item, info, "index", "textures", &texture));
+    BSQ_PASS(fmt_gltf_index(item, info, "index", "textures", &texture));
     if (texture != GLTF_NONE)
-        BSQ_TRY(find_texture(d, source, texture, out->uv.wrap, &out->texture_path));
+        BSQ_PASS(find_texture(d, source, texture, out->uv.wrap, &out->texture_path));
     out->uv.srgb = out->texture_path && out->channel->color;
     if (out->texture_path && fmt_extent_parse(out->texture_path, &extent) == 0)
-        status = bsq_text_copy(d->ctx, d->file.path, &out->texture_place);
-done:
-    return status;
+        return bsq_text_copy(d->ctx, d->file.path, &out->texture_place);
+    return 0;
 }
 
 static int read_channel_texture(const struct gltf_item *item, struct gltf_source *source,

@@ -174,20 +174,16 @@ static int allocate_triangles(struct loader *loader, uint32_t largest_face)
     struct bsq_ctx *ctx = loader->ctx;
     struct fmt_mesh *mesh = loader->mesh;
     const uint64_t count = loader->corner_count - 2 * mesh->face_count;
-    int status;
-    BSQ_TRY(BSQ_ALLOC(ctx, "triangles", count, &mesh->vertices));
+    BSQ_PASS(BSQ_ALLOC(ctx, "triangles", count, &mesh->vertices));
     if (loader->has_corners[1])
-        BSQ_TRY(BSQ_ALLOC(ctx, "triangles", count, &mesh->corner_texcoords));
+        BSQ_PASS(BSQ_ALLOC(ctx, "triangles", count, &mesh->corner_texcoords));
     if (loader->has_corners[2])
-        BSQ_TRY(BSQ_ALLOC(ctx, "triangles", count, &mesh->corner_normals));
-    BSQ_TRY(BSQ_ALLOC(ctx, "triangles", count, &mesh->faces));
-    BSQ_TRY(BSQ_ALLOC(ctx, "a polygon", largest_face, &loader->polygon));
-    BSQ_TRY(bsq_alloc(ctx, "a polygon", largest_face, 3 * sizeof *loader->triangles,
-                      &loader->triangles));
-    status =
-        bsq_alloc(ctx, "a polygon", bsq_triangulate_scratch(largest_face), 1, &loader->scratch);
-done:
-    return status;
+        BSQ_PASS(BSQ_ALLOC(ctx, "triangles", count, &mesh->corner_normals));
+    BSQ_PASS(BSQ_ALLOC(ctx, "triangles", count, &mesh->faces));
+    BSQ_PASS(BSQ_ALLOC(ctx, "a polygon", largest_face, &loader->polygon));
+    BSQ_PASS(bsq_alloc(ctx, "a polygon", largest_face, 3 * sizeof *loader->triangles,
+                       &loader->triangles));
+    return bsq_alloc(ctx, "a polygon", bsq_triangulate_scratch(largest_face), 1, &loader->scratch);
 }
 
 /* Splits the polygon whose corners begin at `first` into triangles from number `triangle` on. */
@@ -262,11 +258,10 @@ static int load(struct loader *loader, const char *path)
 {
     struct fmt_mesh *mesh = loader->mesh;
     struct fmt_mesh_totals totals;
-    int status;
-    BSQ_TRY(fmt_mesh_open(loader->ctx, &path, 1, &loader->reader));
+    BSQ_PASS(fmt_mesh_open(loader->ctx, &path, 1, &loader->reader));
     if (loader->named)
         fmt_mesh_use_objects(loader->reader);
-    BSQ_TRY(fmt_mesh_read(loader->reader, collect, loader, &totals));
+    BSQ_PASS(fmt_mesh_read(loader->reader, collect, loader, &totals));
     mesh->vertex_count = totals.vertices;
     mesh->texcoord_count = totals.texcoords;
     mesh->normal_count = totals.normals;
@@ -278,18 +273,17 @@ static int load(struct loader *loader, const char *path)
     if (totals.faces == 0)
         return fmt_mesh_fail_no_faces(loader->ctx, path, &totals);
     const uint64_t counts[3] = {totals.vertices, totals.texcoords, totals.normals};
-    BSQ_TRY(check_corners(loader, counts));
-    BSQ_TRY(
+    BSQ_PASS(check_corners(loader, counts));
+    BSQ_PASS(
         fmt_mesh_report_loss(loader->reader, FMT_MESH_NORMAL, &loader->lost_normals, totals.faces));
-    BSQ_TRY(hash_faces(loader));
-    BSQ_TRY(make_triangles(loader));
-    BSQ_TRY(
+    BSQ_PASS(hash_faces(loader));
+    BSQ_PASS(make_triangles(loader));
+    BSQ_PASS(
         fmt_mesh_report_loss(loader->reader, FMT_MESH_VERTEX, &loader->lost_faces, totals.faces));
     normalise(mesh);
     if (loader->named)
-        status = fmt_mesh_read_materials(loader->reader, &mesh->materials);
-done:
-    return status;
+        return fmt_mesh_read_materials(loader->reader, &mesh->materials);
+    return 0;
 }
 
 int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, bool named, struct fmt_mesh *out)

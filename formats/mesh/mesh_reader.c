@@ -165,15 +165,13 @@ static int set_placement(struct stream_source *source, const struct fmt_mesh_pla
 /* Finds a file's format and reads the start of it. */
 static int begin_source(struct stream_source *source)
 {
-    int status;
-    BSQ_TRY(choose_format(source));
+    BSQ_PASS(choose_format(source));
     if (source->format->data_bytes > 0)
-        BSQ_TRY(
+        BSQ_PASS(
             bsq_calloc(source->ctx, "a mesh file", 1, source->format->data_bytes, &source->data));
     if (source->format->begin)
-        status = source->format->begin(source);
-done:
-    return status;
+        return source->format->begin(source);
+    return 0;
 }
 
 /* So few plain files stay open until they are read, so that each is opened once. Opening others

@@ -198,7 +198,6 @@ int fmt_obj_finish_materials(struct fmt_mesh_reader *reader)
 {
     const struct stream_colorless bare = reader->bare, lost = reader->lost, plain = reader->plain;
     const bool warns = reader->warns_of_materials, bare_vertices = !reader->has_colors;
-    int status = 0;
     reader->bare = reader->lost = reader->plain = (struct stream_colorless){0};
     reader->warns_of_materials = false;
     if (!warns)
@@ -206,22 +205,21 @@ int fmt_obj_finish_materials(struct fmt_mesh_reader *reader)
     if (reader->material_count == 0)
         return warn_of_unused_libraries(reader);
     if (bare.count > 0 && bare_vertices)
-        BSQ_TRY(bsq_warn_loss(reader->ctx,
-                              "%s: no material library is named; materials without a colour, such "
-                              "as \"%.60s\": %" PRIu64 " (see --texture)",
-                              reader->sources[bare.source].path, bare.name, bare.count));
+        BSQ_PASS(bsq_warn_loss(reader->ctx,
+                               "%s: no material library is named; materials without a colour, such "
+                               "as \"%.60s\": %" PRIu64 " (see --texture)",
+                               reader->sources[bare.source].path, bare.name, bare.count));
     if (lost.count > 0)
-        BSQ_TRY(bsq_warn_loss(reader->ctx,
-                              "%s: no material library describes \"%.60s\"; materials without a "
-                              "colour: %" PRIu64 " (see --texture)",
-                              reader->sources[lost.source].path, lost.name, lost.count));
+        BSQ_PASS(bsq_warn_loss(reader->ctx,
+                               "%s: no material library describes \"%.60s\"; materials without a "
+                               "colour: %" PRIu64 " (see --texture)",
+                               reader->sources[lost.source].path, lost.name, lost.count));
     if (plain.count > 0 && bare_vertices)
-        status = bsq_warn_loss(reader->ctx,
-                               "%s: faces without a material: %" PRIu64
-                               "; they have no colour (see --texture)",
-                               reader->sources[plain.source].path, plain.count);
-done:
-    return status;
+        return bsq_warn_loss(reader->ctx,
+                             "%s: faces without a material: %" PRIu64
+                             "; they have no colour (see --texture)",
+                             reader->sources[plain.source].path, plain.count);
+    return 0;
 }
 
 /* ---- lists of materials ---- */

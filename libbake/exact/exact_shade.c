@@ -246,24 +246,22 @@ int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *sl
     const struct fmt_shading *shading = &exact->shading;
     struct bake_hit *hit = &batch->hits[ray];
     struct place place;
-    int status = 0;
     shade_set_place(&place, slot,
                     (uint32_t)(hit->triangle - exact->chunks[slot->number].first_triangle), hit);
     shade_normal(exact, &place, hit->normal);
     const struct fmt_shading_footprint at = texture_footprint(exact, &place, batch, ray);
     if (slot->chunk.texcoords &&
         fmt_shading_is_textured(shading, FMT_SHADING_NORMAL_MAP, at.material))
-        BSQ_TRY(shade_add_normal_map(exact, &place, &at, hit->normal));
+        BSQ_PASS(shade_add_normal_map(exact, &place, &at, hit->normal));
     set_side(exact, &place, batch, ray);
     for (int k = 0; hit->reversed && k < 3; k++)
         hit->normal[k] = -hit->normal[k];
     hit->id = shading->ids ? fmt_shade_id(shading, &slot->chunk, place.triangle, place.w) : 0;
     for (uint32_t a = FMT_SHADING_CHANNELS; batch->channels && a < shading->attribute_count; a++)
-        BSQ_TRY(fmt_shade_attribute(shading, a, &at,
-                                    batch->channels + ray * exact_transfer_floats(exact) +
-                                        (a - FMT_SHADING_CHANNELS) * BK_TRANSFER_VALUES));
+        BSQ_PASS(fmt_shade_attribute(shading, a, &at,
+                                     batch->channels + ray * exact_transfer_floats(exact) +
+                                         (a - FMT_SHADING_CHANNELS) * BK_TRANSFER_VALUES));
     if (shading->diffuse)
-        status = shade_color(exact, &place, &at, hit->color);
-done:
-    return status;
+        return shade_color(exact, &place, &at, hit->color);
+    return 0;
 }

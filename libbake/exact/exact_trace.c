@@ -293,21 +293,19 @@ static int trace_allocate(struct wave *wave, struct exact_buckets *buckets)
     const uint64_t rays = wave->batch->sweep ? wave->memory->most_rays : wave->batch->count;
     struct bsq_ctx *ctx = wave->exact->ctx;
     const uint32_t chunks = wave->exact->chunk_count;
-    int status = 0;
     buckets->capacity = exact_bucket_entries(wave->exact, rays);
-    BSQ_TRY(BSQ_ALLOC(ctx, "rays by chunk", buckets->capacity, &buckets->bundles));
-    BSQ_TRY(BSQ_ALLOC(ctx, "rays by chunk", buckets->capacity, &buckets->found));
-    BSQ_TRY(BSQ_ALLOC(ctx, "rays by chunk", (uint64_t)chunks + 1, &buckets->starts));
-    BSQ_TRY(
+    BSQ_PASS(BSQ_ALLOC(ctx, "rays by chunk", buckets->capacity, &buckets->bundles));
+    BSQ_PASS(BSQ_ALLOC(ctx, "rays by chunk", buckets->capacity, &buckets->found));
+    BSQ_PASS(BSQ_ALLOC(ctx, "rays by chunk", (uint64_t)chunks + 1, &buckets->starts));
+    BSQ_PASS(
         BSQ_ALLOC(ctx, "rays by chunk", exact_bundles(rays) / EXACT_SORTED + 1, &buckets->around));
-    BSQ_TRY(BSQ_ALLOC(ctx, "locks", EXACT_LOCKS, &wave->locks));
+    BSQ_PASS(BSQ_ALLOC(ctx, "locks", EXACT_LOCKS, &wave->locks));
     for (int i = 0; i < EXACT_LOCKS; i++)
         pthread_mutex_init(&wave->locks[i], NULL);
     /* Last, because they make do with little memory. */
     if (wave->memory->slots.count == 0)
-        status = allocate_chunks(wave);
-done:
-    return status;
+        return allocate_chunks(wave);
+    return 0;
 }
 
 static int clear_hits(void *arg, uint64_t begin, uint64_t end, unsigned worker)

@@ -297,13 +297,11 @@ done:
 
 int bake_write_asset(struct bake_work *job)
 {
-    int status = 0;
     if (job->options->page)
-        BSQ_TRY(show_mesh(job));
+        BSQ_PASS(show_mesh(job));
     if (job->asset)
-        status = bake_asset_write(job->asset, &job->mesh, &job->udim);
-done:
-    return status;
+        return bake_asset_write(job->asset, &job->mesh, &job->udim);
+    return 0;
 }
 
 int bake_write_preview(struct bake_work *job)

@@ -302,21 +302,20 @@ int bake_part_open(const struct bake_work *job, const struct bake_channels *chan
                                .number = number,
                                .box = *box,
                                .file = BSQ_FILE_CLOSED};
-    int status = 0;
     part->path = bake_part_path(job, &job->tiles[tile], number);
     if (!part->path)
         return bsq_fail(job->ctx, BSQ_ENOMEM, "a part: out of memory");
     expect_texts(job, tile, number, &part->texts);
-    BSQ_TRY(bsq_file_open_as(job->ctx, part->path, BSQ_OPEN_OTHER, &part->file));
-    BSQ_TRY(fmt_exr_tiles_open(job->ctx, part->path, &part->file,
-                               (const char *const *)channels->names, channels->count, &part->rows));
-    BSQ_TRY(check_texts(part));
+    BSQ_PASS(bsq_file_open_as(job->ctx, part->path, BSQ_OPEN_OTHER, &part->file));
+    BSQ_PASS(fmt_exr_tiles_open(job->ctx, part->path, &part->file,
+                                (const char *const *)channels->names, channels->count,
+                                &part->rows));
+    BSQ_PASS(check_texts(part));
     const struct fmt_exr_image *image = fmt_exr_rows_image(part->rows);
     if (!part_read_counts(fmt_exr_image_attribute(image, text_names[BAKE_PART_COUNTS]),
                           &part->counts))
-        status = part_refuse(part, "damaged: its counts are no numbers");
-done:
-    return status;
+        return part_refuse(part, "damaged: its counts are no numbers");
+    return 0;
 }
 
 /* Checks the bytes of the file. */
@@ -325,15 +324,13 @@ static int check_bytes(const struct bake_part *part)
     struct bsq_ctx *ctx = part->job->ctx;
     char found[BAKE_PART_DIGITS + 1], digits[BAKE_PART_DIGITS + 1] = "";
     const uint64_t size = part->file.size;
-    int status;
     if (size <= BAKE_PART_DIGITS)
         return part_refuse(part, "not a part of a bake");
-    BSQ_TRY(compute_checksum(ctx, &part->file, size - BAKE_PART_DIGITS, found));
-    BSQ_TRY(bsq_file_read(ctx, &part->file, digits, BAKE_PART_DIGITS, size - BAKE_PART_DIGITS));
+    BSQ_PASS(compute_checksum(ctx, &part->file, size - BAKE_PART_DIGITS, found));
+    BSQ_PASS(bsq_file_read(ctx, &part->file, digits, BAKE_PART_DIGITS, size - BAKE_PART_DIGITS));
     if (strcmp(found, digits) != 0)
-        status = part_refuse(part, "damaged: its checksum does not fit");
-done:
-    return status;
+        return part_refuse(part, "damaged: its checksum does not fit");
+    return 0;
 }
 
 /* Copies a block to the image. x, y: in the map. */

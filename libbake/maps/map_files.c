@@ -362,21 +362,19 @@ static int give_rows(const struct bake_map_files *files, uint32_t number, uint32
 
 static int maps_write_band(struct bake_map_files *files, uint32_t first_row, uint32_t rows)
 {
-    int status = 0;
     for (uint32_t i = 0; i < files->count; ++i) {
         struct map_file *file = &files->files[i];
         if (file->thumbnail)
-            BSQ_TRY(
+            BSQ_PASS(
                 bake_thumbnail_add(files->ctx, file->thumbnail, 3, first_row, rows, file->rows));
         if (files->options->on_rows)
-            BSQ_TRY(give_rows(files, i, first_row, rows));
+            BSQ_PASS(give_rows(files, i, first_row, rows));
         if (file->writer)
-            BSQ_TRY(fmt_image_write_rows(file->writer, file->rows, rows));
+            BSQ_PASS(fmt_image_write_rows(file->writer, file->rows, rows));
     }
     if (files->watch)
-        status = files->watch(files->watch_arg, files, rows);
-done:
-    return status;
+        return files->watch(files->watch_arg, files, rows);
+    return 0;
 }
 
 /* Returns the rows of a band: from a quarter of the memory that is left in the budget, in whole

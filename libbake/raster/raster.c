@@ -598,14 +598,12 @@ int bake_raster_fill(const struct bake_raster *raster, uint32_t index, uint32_t 
     const struct raster_window window = patch_window(raster, index);
     const size_t count = (size_t)(window.end_x - window.begin_x) * (window.end_y - window.begin_y);
     bool overlap;
-    int status;
     memset(sample_triangles, 0xff, count * sizeof *sample_triangles); /* BK_NO_TRIANGLE */
     *overlaps = 0;
-    BSQ_TRY(paint_patch(raster, index, sample_triangles, &overlap));
+    BSQ_PASS(paint_patch(raster, index, sample_triangles, &overlap));
     if (overlap)
-        BSQ_TRY(count_overlaps(raster, index, sample_triangles, overlaps));
+        BSQ_PASS(count_overlaps(raster, index, sample_triangles, overlaps));
     if (raster->options.skew.textures)
-        status = fill_skews(raster, &window, sample_triangles, sample_triangles + count);
-done:
-    return status;
+        return fill_skews(raster, &window, sample_triangles, sample_triangles + count);
+    return 0;
 }

@@ -256,17 +256,15 @@ static int create_trees(struct bake_look *look)
 {
     const struct bake_surface *surface = look->surface;
     struct bsq_ctx *ctx = surface->ctx;
-    int status;
-    BSQ_TRY(BSQ_ALLOC(ctx, "results of rays",
-                      bsq_threads(ctx) * (uint64_t)bk_ray_count(&look->params), &look->found));
-    BSQ_TRY(BSQ_CALLOC(ctx, "trees of leaves", surface->scan_count, &look->trees));
+    BSQ_PASS(BSQ_ALLOC(ctx, "results of rays",
+                       bsq_threads(ctx) * (uint64_t)bk_ray_count(&look->params), &look->found));
+    BSQ_PASS(BSQ_CALLOC(ctx, "trees of leaves", surface->scan_count, &look->trees));
     for (uint32_t s = 0; s < surface->scan_count; s++)
         if (!surface->scans[s].exact)
-            BSQ_TRY(bake_tree_build(ctx, &surface->scans[s].grid, &look->trees[s]));
+            BSQ_PASS(bake_tree_build(ctx, &surface->scans[s].grid, &look->trees[s]));
     if (surface->grids)
-        status = bake_native_workers_create(ctx, &look->params, &look->workers);
-done:
-    return status;
+        return bake_native_workers_create(ctx, &look->params, &look->workers);
+    return 0;
 }
 
 /* The states take an eighth of what is left, or as much as `most` hits need. */

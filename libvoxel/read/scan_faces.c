@@ -268,20 +268,16 @@ static int compare_colors(const struct scan *scan)
             continue;
         add(file->has_material_colors ? &materials : &vertices, i);
     }
-    int status;
-    BSQ_TRY(
+    BSQ_PASS(
         warn(scan, &paint, true,
              "ZBrush's polypaint is not used beside files without it: export a texture of it, or "
              "vertex colours"));
-    BSQ_TRY(warn(scan, &materials, true,
-                 "colours of materials are not used, because other files of the scan have vertex "
-                 "colours"));
-    status =
-        warn(scan, &vertices, false,
-             "no vertex colours, so what has no texture is white; other files of the scan have "
-             "vertex colours");
-done:
-    return status;
+    BSQ_PASS(warn(scan, &materials, true,
+                  "colours of materials are not used, because other files of the scan have vertex "
+                  "colours"));
+    return warn(scan, &vertices, false,
+                "no vertex colours, so what has no texture is white; other files of the scan have "
+                "vertex colours");
 }
 
 /* Warns of files without faces, which add nothing to the scan. */

@@ -232,15 +232,12 @@ static int add_material(struct scan *scan, const char *path, const float diffuse
 static int allocate_tables(struct scan *scan)
 {
     const uint64_t entries = 2 * ((uint64_t)scan->usemtl_count + 1);
-    int status;
-    BSQ_TRY(BSQ_ALLOC(scan->ctx, "materials", entries, &scan->material_map));
+    BSQ_PASS(BSQ_ALLOC(scan->ctx, "materials", entries, &scan->material_map));
     memset(scan->material_map, 0xff, entries * sizeof *scan->material_map);
-    BSQ_TRY(BSQ_CALLOC(scan->ctx, "a table of materials and of colours of faces", entries,
-                       &scan->materials));
-    status =
-        BSQ_CALLOC(scan->ctx, "channels", scan->channel_count + UINT64_C(1), &scan->found_channels);
-done:
-    return status;
+    BSQ_PASS(BSQ_CALLOC(scan->ctx, "a table of materials and of colours of faces", entries,
+                        &scan->materials));
+    return BSQ_CALLOC(scan->ctx, "channels", scan->channel_count + UINT64_C(1),
+                      &scan->found_channels);
 }
 
 /* Returns whether ids are names of materials or objects. */

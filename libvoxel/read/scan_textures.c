@@ -283,23 +283,21 @@ int vox_textures_use_alpha(struct scan *scan, const struct scan_textures *textur
     static const struct fmt_uv unmoved = {0};
     const struct fmt_channel *channel = wanted_channel(scan);
     const struct fmt_material *lost = NULL;
-    int status = 0;
     for (uint32_t i = 0; i < materials->count && channel && scan_count(scan, SCAN_TEXCOORDS) > 0;
          i++) {
         struct fmt_material *material = &materials->list[i];
         const char *own = material->opaque ? NULL : material->color.texture_path;
         const char *texture = path ? path : own;
         if (texture && find(textures, texture)->alpha)
-            BSQ_TRY(add_alpha(scan->ctx, channel, texture, path ? &unmoved : &material->color.uv,
-                              material, &lost));
+            BSQ_PASS(add_alpha(scan->ctx, channel, texture, path ? &unmoved : &material->color.uv,
+                               material, &lost));
     }
     if (lost)
-        status = bsq_warn_loss(scan->ctx,
-                               "material \"%s\": %s: its value is not used, but the alpha of its "
-                               "texture",
-                               lost->name, channel->name);
-done:
-    return status;
+        return bsq_warn_loss(scan->ctx,
+                             "material \"%s\": %s: its value is not used, but the alpha of its "
+                             "texture",
+                             lost->name, channel->name);
+    return 0;
 }
 
 void vox_textures_free(struct bsq_ctx *ctx, struct scan_textures *textures)

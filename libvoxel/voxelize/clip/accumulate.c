@@ -96,16 +96,14 @@ int vox_shade_textures(const struct fmt_shading *scan,
                        float *texel)
 {
     float color[3];
-    int status = 0;
     if (rgb) {
-        BSQ_TRY(fmt_shade_attribute(scan, FMT_SHADING_COLOR, footprint, color));
+        BSQ_PASS(fmt_shade_attribute(scan, FMT_SHADING_COLOR, footprint, color));
         for (int k = 0; k < 3; k++)
             rgb[k] = (double)color[k];
     }
     if (channels)
-        BSQ_TRY(shade_channels(scan, footprint, channels));
+        BSQ_PASS(shade_channels(scan, footprint, channels));
     if (texel)
-        status = fmt_shade_attribute(scan, FMT_SHADING_NORMAL_MAP, footprint, texel);
-done:
-    return status;
+        return fmt_shade_attribute(scan, FMT_SHADING_NORMAL_MAP, footprint, texel);
+    return 0;
 }
