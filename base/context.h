@@ -43,12 +43,13 @@ enum bsq_status {
 
 /** Normals of a scan (the high-poly mesh) that has none of its own. Smooth normals are interpolated
  * between vertices. The normal of a vertex is the weighted mean of its triangles' normals; at
- * creases, each of two sides has one, or the triangles keep their own. */
+ * creases, which ANGLE does not have, each of two sides has one, or the triangles keep their own.
+ */
 enum bsq_scan_normals {
     BSQ_SCAN_NORMALS_AUTO,  /**< The default: those of the chunk file; of a mesh, smooth ones. */
     BSQ_SCAN_NORMALS_AREA,  /**< Smooth; weights are the triangles' areas. */
     BSQ_SCAN_NORMALS_ANGLE, /**< Smooth; weights are the triangles' angles at the vertex (Thuermer
-                               and Wuethrich 1998). */
+                               and Wuethrich 1998), as of Blender's Shade Smooth. */
     BSQ_SCAN_NORMALS_MAX,   /**< Smooth; weights are the sine of the angle over the product of both
                                edges' lengths (Max 1999). */
     BSQ_SCAN_NORMALS_FLAT,  /**< The normals of the triangles. */

@@ -38,8 +38,8 @@ static const struct bsq_option rows[] = {
 
     {BSQ_ROW("scan-normals", "NAME",
              "for a scan without normals: smooth, flat; or smooth ones by\n"
-             "weight: area, angle or max (default, auto: those of the chunk\n"
-             "file, smooth for meshes; smooth is area)"),
+             "weight: area, angle (as Blender, no creases) or max (default,\n"
+             "auto: those of the chunk file, smooth for meshes; that is area)"),
      .heading = "Scan", MEMBER(CHOICE, grid.scan_normals),
      .words = "auto smooth/area angle max flat"},
     {BSQ_ROW("channels", "LIST",

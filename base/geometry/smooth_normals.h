@@ -2,11 +2,11 @@
  * around it.
  *
  * The normal of a vertex is the direction of the weighted sum of its triangles' unit normals.
- * Neighbouring facets that turn too far make a crease, where no normal stands for all of them.
- * There the triangles are divided into two sides, each with a normal of its own. A triangle's
- * corner takes the normal that is closer to the triangle's plane, or the triangle's own if both are
- * far from it (docs/decisions/0008-normals-of-scans-without-normals.md). Sums in double and in one
- * order of triangles give the same bits however a scan is cut into chunks.
+ * Facets that turn far, but little on each of two sides, make a crease, where no normal stands for
+ * all of them. There the triangles are divided into two sides, each with a normal of its own. A
+ * triangle's corner takes the normal that is closer to the triangle's plane, or the triangle's own
+ * if both are far from it (docs/decisions/0008-normals-of-scans-without-normals.md). Sums in double
+ * and in one order of triangles give the same bits however a scan is cut into chunks.
  *
  * A one-ring's sums are BSQ_RING_ROWS rows of four doubles: the weighted normals and the weights;
  * the normals and the number of triangles; and the moment, which is three times the weight times
@@ -21,10 +21,9 @@
 #include "base/context.h"
 #include "base/simd/simd.h"
 
-/* Least ratio of the summed normals' length to the summed weights at a vertex, or on one side of a
- * crease, that has a smooth normal. Two sheets of equal weight reach the limit, the cosine of half
- * the fold, with a fold of 60 degrees. Both stages use it, so that maps from voxels agree with
- * exact maps. */
+/* Least ratio of the summed normals' length to the summed weights at a vertex that is surely no
+ * crease, and on one side of a crease that has a normal. Two sheets of equal weight reach the
+ * limit, the cosine of half the fold, with a fold of 60 degrees. */
 #define BSQ_CREASE_SHARE 0.866
 /* Least cosine of the angle between a triangle's plane and the normal of its vertex, 45 degrees. Of
  * two sheets of any weights, with a fold below this, none is a crease. */
@@ -32,6 +31,12 @@
 /* Least sum of the squared distances of unit normals from their mean if two of them are more than
  * 45 degrees apart. */
 #define BSQ_CREASE_SPREAD 0.2928
+/* Share of a one-ring's spread that both sides of a crease have at most: what the lengths of their
+ * sums lack of their weights, beside the same of the sum of both. Noise has more. */
+#define BSQ_SIDES_SHARE 0.03
+/* Largest variance of the normals of a crease that has more than two sides, such as the corner of
+ * a box, across the plane that fits them best. Noise has more. */
+#define BSQ_SIDES_FLATNESS 0.0001
 
 #define BSQ_PI 3.14159265358979323846
 
@@ -161,27 +166,22 @@ LANES_INLINE void bsq_add_one_rings(const float (*positions)[3], const uint32_t 
                                sums);
 }
 
-/* Returns whether a vertex has a normal. length: of its summed normals; weight: its summed weights.
- */
+/* Returns whether one normal stands for triangles. length: of their summed normals; weight: their
+ * summed weights. */
 static inline bool bsq_is_smooth(double length, double weight)
 {
     return length > 0 && length >= BSQ_CREASE_SHARE * weight;
 }
 
-/* Returns the same for several vertices. */
-LANES_INLINE lane_mask bsq_are_smooth(doubles length, doubles weight)
-{
-    return lanes_less(lanes_all(0.0), length) & ~lanes_less(length, BSQ_CREASE_SHARE * weight);
-}
-
 /* ---- creases ----
  *
  * One-rings that may be creases (bsq_may_fold()) are numbered from 1 on; all others have number 0
- * in `crease_of`. Then bsq_find_farthest() looks at all triangles, and bsq_divide_ring() decides: a
- * one-ring that stays whole gets number 0. At last bsq_add_sides() adds all triangles again. A
- * divided one-ring then has the sums of its first side, and in `seconds`, at the number of the
- * crease, those of its second side. Sides are weighted by angle, whatever the weights of the sums:
- * where a surface ends, areas depend on how its last quads are cut.
+ * in `crease_of`. Then bsq_find_farthest() looks at all triangles, and bsq_divide_ring() finds
+ * which one-rings fold: the others get number 0. bsq_add_sides() adds all triangles again, to
+ * `firsts` and `seconds` at the number of the crease, and bsq_is_crease() decides. Sides are
+ * weighted by angle, whatever the weights of the sums: where a surface ends, areas depend on how
+ * its last quads are cut. For the covariance of the whole one-ring, row 1 of `firsts` sums its
+ * weighted normals times their x, and row 1 of `seconds` times their y.
  *
  * A crease begins as {0, 0, 0, INFINITY}. It becomes the unit normal of the triangle farthest from
  * the summed normal, and its dot product with that; then a direction of the second side's
@@ -236,11 +236,11 @@ LANES_INLINE void bsq_find_farthest(const float (*positions)[3], const uint32_t 
     }
 }
 
-/* Decides whether a one-ring is divided. If it is, clears its sums. Normals of the second side are
- * closer to the farthest triangle's than to the part of the summed normal at right angles to it. */
-static inline bool bsq_divide_ring(double (*sum)[4], double crease[4])
+/* Decides whether a one-ring folds, so that it is divided. Normals of the second side are closer to
+ * the farthest triangle's than to the part of the summed normal at right angles to it. */
+static inline bool bsq_divide_ring(const double total[4], double crease[4])
 {
-    const double *total = sum[0], length = sqrt(bsq_row_dot(total, total));
+    const double length = sqrt(bsq_row_dot(total, total));
     double along[4] = {0};
     if (!isfinite(crease[3]) ||
         (bsq_is_smooth(length, total[3]) && crease[3] >= BSQ_FACET_COSINE * length))
@@ -250,7 +250,6 @@ static inline bool bsq_divide_ring(double (*sum)[4], double crease[4])
     const double size = sqrt(bsq_row_dot(along, along));
     for (int k = 0; k < 3 && size > 1e-6 * total[3]; k++)
         crease[k] -= along[k] / size;
-    memset(sum, 0, BSQ_RING_ROWS * sizeof *sum);
     return true;
 }
 
@@ -258,7 +257,7 @@ static inline bool bsq_divide_ring(double (*sum)[4], double crease[4])
 LANES_INLINE void bsq_add_sides(const float (*positions)[3], const uint32_t (*triangles)[3],
                                 uint32_t begin, uint32_t end, const uint32_t *ring_of,
                                 const uint32_t *crease_of, const double (*creases)[4],
-                                double (*sums)[4], double (*seconds)[4])
+                                double (*firsts)[4], double (*seconds)[4])
 {
     for (uint32_t t = begin; t < end; t++) {
         const uint32_t *v = triangles[t];
@@ -266,22 +265,44 @@ LANES_INLINE void bsq_add_sides(const float (*positions)[3], const uint32_t (*tr
         double normal[4];
         if (!bsq_crease_corners(positions, v, ring_of, crease_of, corner))
             continue;
-        const struct row area = bsq_area_vector(corner);
+        const struct row area = bsq_area_vector(corner), unit = bsq_unit_normal(area);
         const struct row factors =
             bsq_corner_factors(corner, row_number(area, 3), BSQ_SCAN_NORMALS_ANGLE);
         row_store(area, normal);
         for (int i = 0; i < 3; i++) {
-            const uint64_t ring = ring_of[v[i]], crease = crease_of[ring];
+            const uint64_t crease = crease_of[ring_of[v[i]]], at = crease * BSQ_RING_ROWS;
             const struct row weighted = row_times(row_number(factors, i), area);
             if (crease == 0)
                 continue;
-            double(*side)[4] = bsq_row_dot(normal, creases[crease]) > 0
-                                   ? &seconds[crease * BSQ_RING_ROWS]
-                                   : &sums[ring * BSQ_RING_ROWS];
+            double(*side)[4] =
+                bsq_row_dot(normal, creases[crease]) > 0 ? &seconds[at] : &firsts[at];
             row_add(side[0], weighted);
+            row_add(firsts[at + 1], row_times(row_number(weighted, 0), unit));
+            row_add(seconds[at + 1], row_times(row_number(weighted, 1), unit));
             bsq_add_moment(corner, i, row_number(weighted, 3), side[BSQ_RING_ROWS - 1]);
         }
     }
+}
+
+/* Decides whether a divided one-ring is a crease: the normals of each side are close to each other
+ * beside the fold, or all normals are close to a plane, as three directions are, and those of a
+ * cylinder's rim. The normals of noise scatter in all directions. */
+static inline bool bsq_is_crease(const double (*first)[4], const double (*second)[4])
+{
+    const double *a = first[0], *b = second[0], *x = first[1], *y = second[1];
+    const double weight = a[3] + b[3],
+                 mean[4] = {(a[0] + b[0]) / weight, (a[1] + b[1]) / weight, (a[2] + b[2]) / weight};
+    const double within = weight - sqrt(bsq_row_dot(a, a)) - sqrt(bsq_row_dot(b, b));
+    if (within < BSQ_SIDES_SHARE * weight * (1.0 - sqrt(bsq_row_dot(mean, mean))))
+        return true;
+    const double xx = x[0] / weight - mean[0] * mean[0], xy = x[1] / weight - mean[0] * mean[1],
+                 xz = x[2] / weight - mean[0] * mean[2], yy = y[1] / weight - mean[1] * mean[1],
+                 yz = y[2] / weight - mean[1] * mean[2],
+                 zz = 1.0 - (x[0] + y[1]) / weight - mean[2] * mean[2];
+    const double minors[3] = {yy * zz - yz * yz, xx * zz - xz * xz, xx * yy - xy * xy};
+    const double determinant = xx * minors[0] - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
+    /* The least eigenvalue of the covariance, if the others are much larger. */
+    return determinant <= BSQ_SIDES_FLATNESS * (minors[0] + minors[1] + minors[2]);
 }
 
 #endif

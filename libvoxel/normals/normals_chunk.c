@@ -47,6 +47,7 @@ static uint64_t slot_lay_out(const struct normals_run *run, uint8_t *memory, str
     const uint64_t most = vertices > run->triangles ? vertices : run->triangles;
     uint64_t at = 0;
     s->rings.sums = normals_place(memory, &at, rings * BSQ_RING_ROWS, sizeof *s->rings.sums);
+    s->rings.firsts = normals_place(memory, &at, creases * BSQ_RING_ROWS, sizeof *s->rings.firsts);
     s->rings.seconds =
         normals_place(memory, &at, creases * BSQ_RING_ROWS, sizeof *s->rings.seconds);
     s->rings.creases = normals_place(memory, &at, creases, sizeof *s->rings.creases);
@@ -166,12 +167,13 @@ static void divide_creases(const struct normals_run *run, struct ring_slot *s)
     memset(s->found_of, 0, rings * sizeof *s->found_of);
     s->found_count = 0;
     for (uint64_t begin = 1, end; begin < rings; begin = end) {
-        end = vox_rings_number_creases(&s->rings, begin, rings, CREASES, &count);
+        end = vox_rings_number_creases(&s->rings, run->weights, begin, rings, CREASES, &count);
         if (count == 0)
             continue;
         add(&s->rings, VOX_RING_FARTHEST, run->weights, triangles);
         if (vox_rings_divide(&s->rings, begin, end)) {
             add(&s->rings, VOX_RING_SIDES, run->weights, triangles);
+            vox_rings_decide(&s->rings, begin, end);
             keep_seconds(s, begin, end, count);
         }
         memset(&s->rings.crease_of[begin], 0, (end - begin) * sizeof *s->rings.crease_of);

@@ -51,6 +51,7 @@ static uint64_t worker_lay_out(uint8_t *memory, struct open_worker *w)
     const uint64_t rings = w->most + UINT64_C(1);
     uint64_t at = 0;
     w->rings.sums = normals_place(memory, &at, rings * BSQ_RING_ROWS, sizeof *w->rings.sums);
+    w->rings.firsts = normals_place(memory, &at, rings * BSQ_RING_ROWS, sizeof *w->rings.firsts);
     w->rings.seconds = normals_place(memory, &at, rings * BSQ_RING_ROWS, sizeof *w->rings.seconds);
     w->rings.creases = normals_place(memory, &at, rings, sizeof *w->rings.creases);
     w->rings.crease_of = normals_place(memory, &at, rings, sizeof *w->rings.crease_of);
@@ -161,11 +162,13 @@ static int join_part(struct open_worker *w, const struct open_part *part, bool *
         return 0;
     const uint64_t rings = w->count + UINT64_C(1);
     w->rings.crease_of[0] = 0;
-    vox_rings_number_creases(&w->rings, 1, rings, UINT32_MAX, &creases);
+    vox_rings_number_creases(&w->rings, w->run->weights, 1, rings, UINT32_MAX, &creases);
     if (creases > 0) {
         BSQ_TRY(run_records(w, part, false, VOX_RING_FARTHEST, fits));
-        if (vox_rings_divide(&w->rings, 1, rings))
+        if (vox_rings_divide(&w->rings, 1, rings)) {
             BSQ_TRY(run_records(w, part, false, VOX_RING_SIDES, fits));
+            vox_rings_decide(&w->rings, 1, rings);
+        }
         pack((const double(*)[4])w->rings.seconds, w->all, creases, w->seconds);
     }
     pack((const double(*)[4])w->rings.sums, w->all, w->count, w->firsts);

@@ -14,12 +14,14 @@ void BSQ_SIMD_NAME(vox_rings_add)(const struct vox_rings *r, enum vox_ring_step 
                           (const double(*)[4])r->sums, r->creases);
     else
         bsq_add_sides(r->positions, r->triangles, 0, count, r->ring_of, r->crease_of,
-                      (const double(*)[4])r->creases, r->sums, r->seconds);
+                      (const double(*)[4])r->creases, r->firsts, r->seconds);
 }
 
 /* Share of the height of a one-ring's centroid above its vertex, by which the surface rises
  * (docs/decisions/0009-when-vertex-normals-count.md). */
 #define RISE_SHARE (9.0 / 8.0)
+/* Share of the weights that the length of summed normals must have: less is rounding. */
+#define LEAST_LENGTH 1e-6
 
 /* Returns |a| with the sign of b. */
 LANES_INLINE doubles ring_with_sign(doubles a, doubles b)
@@ -70,7 +72,7 @@ void BSQ_SIMD_NAME(vox_rings_pack)(const double (*rings)[4], const uint32_t *rin
         lanes_gather_four(sums, n);
         lanes_gather_four(moments, m);
         const doubles length = lanes_sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]), weight = n[3];
-        const lane_mask smooth = bsq_are_smooth(length, weight);
+        const lane_mask smooth = lanes_less(LEAST_LENGTH * weight, length);
         const doubles height = (n[0] * m[0] + n[1] * m[1] + n[2] * m[2]) / (3.0 * length * weight);
         const lane_ints code = ring_encode(n, RISE_SHARE * height);
         lanes_store_ints((lane_ints)lanes_keep(smooth, (doubles)code), packed);
