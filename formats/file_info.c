@@ -285,14 +285,15 @@ static int describe_tris(struct bsq_ctx *ctx, const char *path, json_t **out)
     for (uint32_t c = 0; c < h->channel_count; c++)
         add_once(channels, h->channels[c]);
     *out = json_pack(
-        "{s:s, s:I, s:o, s:I, s:I, s:I, s:b, s:s?, s:b, s:b, s:b, s:s?, s:I, s:o, s:o}", "format",
-        "chunk file", "version", (json_int_t)FMT_TRIS_VERSION, "box", box_json(min, max),
+        "{s:s, s:I, s:o, s:I, s:I, s:I, s:b, s:s?, s:b, s:b, s:b, s:b, s:s?, s:I, s:o, s:o}",
+        "format", "chunk file", "version", (json_int_t)FMT_TRIS_VERSION, "box", box_json(min, max),
         "triangles", (json_int_t)h->triangle_count, "chunks", (json_int_t)h->chunk_count,
         "source_faces", (json_int_t)h->source_faces, "normals",
         (int)!!(h->attributes & FMT_TRIS_NORMALS), "made_normals",
         fmt_tris_normals_text(h->made_normals), "texture_coordinates",
         (int)!!(h->attributes & FMT_TRIS_TEXCOORDS), "vertex_colors",
-        (int)!!(h->attributes & FMT_TRIS_COLORS), "color", (int)fmt_tris_has_color(h), "ids",
+        (int)!!(h->attributes & FMT_TRIS_COLORS), "fine_colors",
+        (int)!!(h->attributes & FMT_TRIS_FINE_COLORS), "color", (int)fmt_tris_has_color(h), "ids",
         h->ids == FMT_IDS_NONE ? NULL : fmt_ids_text(h->ids), "materials",
         (json_int_t)h->material_count, "channels", channels, "textures", textures_json(h));
     fmt_tris_close(file);

@@ -40,7 +40,7 @@ struct joining {
     uint64_t output_bytes, load_bytes, encoded_bytes; /* of all chunks; of the largest ones */
     struct join_slot *slots;
     uint64_t slot_count;
-    float (*zeros)[2]; /* what a chunk without texture coordinates gets */
+    float (*zeros)[2]; /* what a chunk without texture coordinates or fine colours gets */
     uint32_t *ones;    /* what one without colours or materials gets */
     /* The part that is being copied: */
     const struct join_part *part;
@@ -297,6 +297,7 @@ static int join_work(void *arg, void *slot, uint64_t sequence, unsigned worker)
         materials[t] += materials[t] == UINT32_MAX ? 0 : j->part->first_material;
     chunk.texcoords = chunk.texcoords ? chunk.texcoords : (const float(*)[2])j->zeros;
     chunk.colors = chunk.colors ? chunk.colors : j->ones;
+    chunk.fine_colors = chunk.fine_colors ? chunk.fine_colors : (const uint32_t *)j->zeros;
     chunk.materials = chunk.materials ? chunk.materials : j->ones;
     return fmt_tris_encode(j->ctx, j->header.attributes, &chunk, s->encoded, &s->size, &s->info);
 }
@@ -398,6 +399,7 @@ static void report_join(const struct joining *j, struct vox_sort_report *report)
     report->has_normals = (j->header.attributes & FMT_TRIS_NORMALS) != 0;
     report->has_texcoords = (j->header.attributes & FMT_TRIS_TEXCOORDS) != 0;
     report->has_colors = (j->header.attributes & FMT_TRIS_COLORS) != 0;
+    report->has_fine_colors = (j->header.attributes & FMT_TRIS_FINE_COLORS) != 0;
     memcpy(report->origin, j->header.origin, sizeof report->origin);
 }
 

@@ -166,6 +166,7 @@ static void report_scan(const struct scan *scan, const struct vox_sort_options *
     report->lost_corners = scan->lost[FMT_MESH_TEXCOORD].count + scan->lost[FMT_MESH_NORMAL].count;
     memcpy(report->origin, scan->origin, sizeof report->origin);
     report->has_colors = (scan->attributes & FMT_TRIS_COLORS) != 0;
+    report->has_fine_colors = (scan->attributes & FMT_TRIS_FINE_COLORS) != 0;
     report->has_normals = (scan->attributes & FMT_TRIS_NORMALS) != 0;
     report->has_texcoords = (scan->attributes & FMT_TRIS_TEXCOORDS) != 0;
     report->unused_texcoords = !report->has_texcoords && scan_count(scan, SCAN_TEXCOORDS) > 0;

@@ -122,6 +122,7 @@ struct vox_sort_report {
     bool has_normals;         /**< The scan has normals. */
     bool has_texcoords;       /**< The scan has texture coordinates. */
     bool has_colors;          /**< The scan has vertex colours. */
+    bool has_fine_colors;     /**< Some of them need more than 8 bits. */
     bool has_material_colors; /**< Some material has a colour, without a texture. */
     bool unused_texcoords;    /**< It has texture coordinates, but nothing that needs them. */
     bool uses_textures;       /**< The chunk file needs textures. */
@@ -229,6 +230,7 @@ struct vox_voxelize_report {
     int32_t index_min[3]; /**< Smallest index of a set voxel on each axis. */
     int32_t index_max[3]; /**< Largest index of a set voxel on each axis. */
     bool has_color;       /**< The grid has a colour channel. */
+    bool rounds_colors;   /**< The scan's vertex colours have more than its 8 bits. */
     bool has_ids;         /**< The grid has a channel of ids. */
     double seconds;       /**< Wall time. */
 };

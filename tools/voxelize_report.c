@@ -49,7 +49,8 @@ static void print_kept(const struct voxelize_job *job)
         {true, "positions"},
         {sort->has_normals, "normals"},
         {sort->has_texcoords, "texture coordinates"},
-        {sort->has_colors, "vertex colours"},
+        {sort->has_colors,
+         sort->has_fine_colors ? "vertex colours of more than 8 bits" : "vertex colours"},
         {sort->has_material_colors, "colours of materials"},
         {sort->uses_textures, "textures"},
         {sort->kept_channels[0], sort->kept_channels},
@@ -93,7 +94,10 @@ static void print_grid(const struct vox_voxelize_options *options,
               (long long)grid->index_max[0] - grid->index_min[0] + 1,
               (long long)grid->index_max[1] - grid->index_min[1] + 1,
               (long long)grid->index_max[2] - grid->index_min[2] + 1, grid->voxel_size,
-              cli_size_text(grid->grid_bytes, size), grid->has_color ? ", with colour" : "",
+              cli_size_text(grid->grid_bytes, size),
+              grid->rounds_colors ? ", with colour in 8 bits, of more"
+              : grid->has_color   ? ", with colour"
+                                  : "",
               grid->has_ids ? ", with ids" : "", grid->seconds);
     if (options->vdb_path)
         cli_print("%s: the same as OpenVDB\n", options->vdb_path);
@@ -115,31 +119,32 @@ static json_t *sort_json(const struct vox_sort_report *sort)
 {
     return json_pack(
         "{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:[f, f, f], s:b, s:b, s:b,"
-        " s:b, s:b, s:b, s:o, s:o, s:o, s:f, s:f}",
+        " s:b, s:b, s:b, s:b, s:o, s:o, s:o, s:f, s:f}",
         CLI_COUNT(sort, bytes_read), CLI_COUNT(sort, vertices), CLI_COUNT(sort, faces),
         CLI_COUNT(sort, triangles), CLI_COUNT(sort, degenerate_triangles),
         CLI_COUNT(sort, short_faces), CLI_COUNT(sort, broken_faces), CLI_COUNT(sort, lost_corners),
         CLI_COUNT(sort, unused_vertices), CLI_COUNT(sort, skipped_lines), CLI_COUNT(sort, chunks),
         CLI_COUNT(sort, tris_bytes), CLI_COUNT(sort, temp_bytes), "origin", sort->origin[0],
         sort->origin[1], sort->origin[2], "has_normals", (int)sort->has_normals, "has_texcoords",
-        (int)sort->has_texcoords, "has_colors", (int)sort->has_colors, "has_material_colors",
-        (int)sort->has_material_colors, "unused_texcoords", (int)sort->unused_texcoords,
-        "uses_textures", (int)sort->uses_textures, "outer_texture",
-        cli_json_text(sort->outer_texture[0] ? sort->outer_texture : NULL), "kept_channels",
-        names_json(sort->kept_channels), "unkept_channels", names_json(sort->unkept_channels),
-        CLI_VALUE(sort, seconds_read), CLI_VALUE(sort, seconds_sort));
+        (int)sort->has_texcoords, "has_colors", (int)sort->has_colors, "has_fine_colors",
+        (int)sort->has_fine_colors, "has_material_colors", (int)sort->has_material_colors,
+        "unused_texcoords", (int)sort->unused_texcoords, "uses_textures", (int)sort->uses_textures,
+        "outer_texture", cli_json_text(sort->outer_texture[0] ? sort->outer_texture : NULL),
+        "kept_channels", names_json(sort->kept_channels), "unkept_channels",
+        names_json(sort->unkept_channels), CLI_VALUE(sort, seconds_read),
+        CLI_VALUE(sort, seconds_sort));
 }
 
 static json_t *grid_json(const struct vox_voxelize_report *grid)
 {
     return json_pack(
-        "{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:[i, i, i], s:[i, i, i], s:b, s:b, s:f}",
+        "{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:[i, i, i], s:[i, i, i], s:b, s:b, s:b, s:f}",
         CLI_COUNT(grid, triangles), CLI_COUNT(grid, voxels), CLI_COUNT(grid, second_records),
         CLI_COUNT(grid, leaves), CLI_COUNT(grid, lowers), CLI_COUNT(grid, uppers),
         CLI_COUNT(grid, grid_bytes), CLI_VALUE(grid, voxel_size), "index_min", grid->index_min[0],
         grid->index_min[1], grid->index_min[2], "index_max", grid->index_max[0], grid->index_max[1],
-        grid->index_max[2], "has_color", (int)grid->has_color, "has_ids", (int)grid->has_ids,
-        CLI_VALUE(grid, seconds));
+        grid->index_max[2], "has_color", (int)grid->has_color, "rounds_colors",
+        (int)grid->rounds_colors, "has_ids", (int)grid->has_ids, CLI_VALUE(grid, seconds));
 }
 
 static int voxelize_report_print_json(const struct voxelize_job *job)

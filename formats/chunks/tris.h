@@ -10,12 +10,34 @@
 #include "base/output.h"
 
 enum fmt_tris_attribute {
-    FMT_TRIS_NORMALS = 1,   /* octahedral, see base/geometry/vec.h */
-    FMT_TRIS_TEXCOORDS = 2, /* two float32 */
-    FMT_TRIS_COLORS = 4,    /* RGBA8, sRGB, R in the low byte */
-    FMT_TRIS_MATERIALS = 8, /* one uint32 a triangle, UINT32_MAX: none */
-    FMT_TRIS_SAMPLES = 16   /* coarse surfaces, see fmt_tris_load_sample() */
+    FMT_TRIS_NORMALS = 1,     /* octahedral, see base/geometry/vec.h */
+    FMT_TRIS_TEXCOORDS = 2,   /* two float32 */
+    FMT_TRIS_COLORS = 4,      /* RGBA8, sRGB, R in the low byte */
+    FMT_TRIS_MATERIALS = 8,   /* one uint32 a triangle, UINT32_MAX: none */
+    FMT_TRIS_SAMPLES = 16,    /* coarse surfaces, see fmt_tris_load_sample() */
+    FMT_TRIS_FINE_COLORS = 32 /* what the 8 bits of colours leave, see fmt_tris_fine_color() */
 };
+
+/* Fine colours have, for each component, what its 8 bits leave, in 1/1024 of their steps: a signed
+ * number of 10 bits, that of red in the lowest ones. */
+
+/* Returns this number for component k, -512 to 511. */
+static inline int32_t fmt_tris_color_rest(uint32_t fine, int k)
+{
+    return (int32_t)(fine << (22 - 10 * k)) >> 22;
+}
+
+/* Packs the number of component k; one that is too large becomes the largest. */
+static inline uint32_t fmt_tris_pack_rest(int32_t rest, int k)
+{
+    return ((uint32_t)(rest < 511 ? rest : 511) & 1023) << 10 * k;
+}
+
+/* Returns component k of a colour, sRGB-encoded: 0 to 1, or out of it by 1/510 at most. */
+static inline double fmt_tris_fine_color(uint32_t color, uint32_t fine, int k)
+{
+    return ((color >> 8 * k & 255) + fmt_tris_color_rest(fine, k) / 1024.0) / 255.0;
+}
 
 #define FMT_TRIS_VERSION 7u /* the only one that is read */
 
@@ -102,7 +124,7 @@ struct fmt_tris_chunk {
     const float (*positions)[3]; /* at least four bytes can be read after the last one */
     const uint32_t *normals;
     const float (*texcoords)[2];
-    const uint32_t *colors;
+    const uint32_t *colors, *fine_colors;
     const uint32_t (*triangles)[3]; /* numbers of vertices in the chunk */
     const uint32_t *materials;      /* one a triangle */
     const void *samples;            /* as in the file; encoding makes them itself */

@@ -10,7 +10,7 @@
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "the host must be little-endian");
 
 #define TRIS_MAGIC      "BSQTRIS\n"
-#define TRIS_ATTRIBUTES 31u /* all that are known */
+#define TRIS_ATTRIBUTES 63u /* all that are known */
 /* Largest vertex count of a chunk with 16-bit indices. */
 #define TRIS_SHORT_VERTICES 65536u
 /* The length of a path that means "no texture". */
@@ -106,7 +106,7 @@ struct tris_attribute {
     bool of_triangles; /* a value for each triangle; else one for each vertex */
     size_t member;     /* the array's pointer in struct fmt_tris_chunk */
 };
-enum { TRIS_ATTRIBUTE_COUNT = 5 };
+enum { TRIS_ATTRIBUTE_COUNT = 6 };
 extern const struct tris_attribute fmt_tris_attributes[TRIS_ATTRIBUTE_COUNT];
 
 static inline uint64_t tris_values_bytes(const struct tris_attribute *attribute, uint32_t triangles,

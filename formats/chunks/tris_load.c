@@ -207,11 +207,12 @@ static bool normals_valid(const struct fmt_tris_chunk *chunk)
     return !wrong;
 }
 
+/* Returns whether the bits of colours that mean nothing are as they must be. */
 static bool colors_opaque(const struct fmt_tris_chunk *chunk)
 {
     uint32_t all = UINT32_MAX;
     for (uint32_t v = 0; chunk->colors && v < chunk->vertex_count; v++)
-        all &= chunk->colors[v];
+        all &= chunk->colors[v] & (chunk->fine_colors ? ~(chunk->fine_colors[v] >> 6) : UINT32_MAX);
     return all >> 24 == 255;
 }
 

@@ -82,7 +82,8 @@ static int tris_check_header(const struct fmt_tris_file *file, const struct tris
                         "%s: damaged chunk file: it has %" PRIu64
                         " bytes, its header says %" PRIu64,
                         file->file.path, file->file.size, h->file_bytes);
-    if ((h->attributes & ~TRIS_ATTRIBUTES) != 0)
+    if ((h->attributes & ~TRIS_ATTRIBUTES) != 0 ||
+        (h->attributes & FMT_TRIS_FINE_COLORS && !(h->attributes & FMT_TRIS_COLORS)))
         return fmt_tris_damaged(file, "unknown attributes");
     if (h->made_normals >= BSQ_SCAN_NORMALS_FLAT ||
         (h->made_normals != 0 && h->attributes & FMT_TRIS_NORMALS))

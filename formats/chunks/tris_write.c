@@ -20,6 +20,7 @@ const struct tris_attribute fmt_tris_attributes[TRIS_ATTRIBUTE_COUNT] = {
     {FMT_TRIS_NORMALS, 4, false, offsetof(struct fmt_tris_chunk, normals)},
     {FMT_TRIS_TEXCOORDS, 8, false, offsetof(struct fmt_tris_chunk, texcoords)},
     {FMT_TRIS_COLORS, 4, false, offsetof(struct fmt_tris_chunk, colors)},
+    {FMT_TRIS_FINE_COLORS, 4, false, offsetof(struct fmt_tris_chunk, fine_colors)},
     {FMT_TRIS_MATERIALS, 4, true, offsetof(struct fmt_tris_chunk, materials)},
     {FMT_TRIS_SAMPLES, 0, false, offsetof(struct fmt_tris_chunk, samples)},
 };

@@ -261,6 +261,8 @@ static int parse_colors(struct parser *p)
         for (int k = 0; k < 3; k++)
             p->arrays->colors[i][k] = isfinite(from[k]) ? display_color(from[k] * factor[k]) : NAN;
     p->slot->color_white = 1;
+    p->slot->fine_colors =
+        !own || own->component != GLTF_UINT8 || memcmp(factor, white, sizeof white) != 0;
     return status;
 }
 

@@ -129,6 +129,7 @@ struct stream_slot {
                                    of the part, and not of the file */
     int64_t balance;            /* a count of the format */
     float color_white;          /* as in struct fmt_mesh_batch */
+    bool fine_colors;           /* likewise; a format sets it where that may be */
     uint32_t material_at_start; /* likewise; set by `pass` */
     uint64_t short_faces;       /* faces with fewer than three corners, which were skipped */
     struct stream_oddity odd[STREAM_ODDITY_COUNT];

@@ -46,6 +46,7 @@ struct fmt_mesh_batch {
     const float (*colors)[3]; /* sRGB as written, -1 for a vertex without colour; NULL: no vertex
                                  of the batch has one */
     float color_white; /* value of full intensity in `colors`; 0: 1 or 255, not known which */
+    bool fine_colors;  /* some of `colors` need more than 8 bits */
     /* Colours of vertices of this or earlier batches, RGBA8 sRGB; the first is for vertex number
      * late_color_base of the scan. To be used if there is one for each vertex of the scan and
      * unread_colors of the totals is NULL. */

@@ -165,6 +165,24 @@ static uint64_t replace_bad(float (*vectors)[3], uint64_t count, float missing)
     return bad;
 }
 
+/* Finds out whether colours of a part that may need more than 8 bits do: from half of a step that
+ * chunk files keep on. Numbers round to whole steps in the sums, in a loop without branches. */
+static void look_for_fine_colors(struct stream_slot *slot)
+{
+    const struct mesh_arrays *a = &slot->arrays;
+    const float *numbers = a->has_colors && slot->fine_colors ? a->colors[0] : NULL;
+    const uint64_t count = numbers ? 3 * a->count[FMT_MESH_VERTEX] : 0;
+    const float white = slot->color_white, round = 3 << 22;
+    const float factor = 255.0f / (white > 0.0f ? white : 1.0f),
+                bright = white > 0.0f ? factor : 1.0f;
+    int fine = 0;
+    for (uint64_t i = 0; i < count; i++) {
+        const float value = numbers[i] * (numbers[i] > 1.0f ? bright : factor);
+        fine |= fabsf(value - ((value + round) - round)) > 1.0f / 2048.0f;
+    }
+    slot->fine_colors = fine;
+}
+
 /* Marks elements of a part that are not finite, and counts them. */
 static void mark_bad(struct stream_slot *slot)
 {
@@ -222,6 +240,7 @@ static void clear_slot(struct stream_slot *slot)
     slot->local = 0;
     slot->balance = 0;
     slot->color_white = 0;
+    slot->fine_colors = false;
     slot->material_at_start = FMT_MESH_NO_MATERIAL;
 }
 
@@ -234,6 +253,8 @@ static int work(void *arg, void *slot_memory, uint64_t sequence, unsigned worker
     const int status = slot->part.failed ? 0 : slot->source->format->parse(slot);
     if (!status && !slot->finite)
         mark_bad(slot);
+    if (!status)
+        look_for_fine_colors(slot);
     return status;
 }
 
@@ -409,6 +430,7 @@ static int call_on_batch(const struct job *job, struct stream_slot *slot, uint64
         .byte_offset = job->passed,
         .byte_size = slot->part.end - job->passed,
         .color_white = slot->color_white,
+        .fine_colors = slot->fine_colors,
         .missing_positions = slot->odd[STREAM_NO_POSITION].count,
         .missing_texcoords = slot->odd[STREAM_NO_TEXCOORD].count,
         .late_color_base = source->base[FMT_MESH_VERTEX] + source->late_color_count,

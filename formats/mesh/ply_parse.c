@@ -292,8 +292,11 @@ static void finish_vertices(const struct cursor *c, const struct ply_element *el
     a->count[FMT_MESH_NORMAL] = c->source->vertex_normals ? count : 0;
     a->count[FMT_MESH_TEXCOORD] = c->source->vertex_texcoords ? count : 0;
     a->has_colors = element->role[PLY_RED] != NULL;
-    if (a->has_colors)
-        c->slot->color_white = ply_is_real(element->role[PLY_RED]->type) ? 0.0f : 255.0f;
+    if (!a->has_colors)
+        return;
+    c->slot->color_white = ply_is_real(element->role[PLY_RED]->type) ? 0.0f : 255.0f;
+    for (int k = 0; k < 3; k++)
+        c->slot->fine_colors |= element->role[PLY_RED + k]->type != PLY_UINT8;
 }
 
 /* ---- faces ---- */

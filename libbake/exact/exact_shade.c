@@ -5,6 +5,7 @@
 
 #include "base/geometry/vec.h"
 #include "base/geometry/vertex_normal.h"
+#include "base/srgb.h"
 #include "libbake/kernel/bk_srgb.h"
 
 /* A hit and its triangle. */
@@ -216,6 +217,15 @@ static struct fmt_shading_footprint texture_footprint(const struct bake_exact *e
     return out;
 }
 
+/* Returns component k of a vertex's colour, in linear light. */
+static double vertex_light(const struct fmt_tris_chunk *chunk, uint32_t vertex, int k)
+{
+    const uint32_t color = chunk->colors[vertex];
+    return chunk->fine_colors
+               ? bsq_srgb_to_linear(fmt_tris_fine_color(color, chunk->fine_colors[vertex], k))
+               : (double)bk_srgb[color >> 8 * k & 255];
+}
+
 /* Evaluates the colour, in this order of precedence: texture, vertex colours, colour of the
  * material. Vertex colours may multiply the texture. Black if the scan has none of them. */
 static int shade_color(const struct bake_exact *exact, const struct place *place,
@@ -232,7 +242,7 @@ static int shade_color(const struct bake_exact *exact, const struct place *place
     double sum[3] = {0, 0, 0};
     for (int i = 0; chunk->colors && i < 3; i++)
         for (int k = 0; k < 3; k++)
-            sum[k] += place->w[i] * (double)bk_srgb[chunk->colors[place->v[i]] >> (8 * k) & 0xff];
+            sum[k] += place->w[i] * vertex_light(chunk, place->v[i], k);
     for (int k = 0; k < 3; k++)
         out[k] = (float)(textured                    ? (double)out[k] * sum[k]
                          : !chunk->colors && diffuse ? diffuse[k]

@@ -25,9 +25,9 @@ _Static_assert(MAX_VERTICES < NUMBER_MASK, "a vertex number must fit");
 
 uint64_t vox_chunk_builder_bytes(uint32_t attributes)
 {
-    uint64_t vertex = 12 + (attributes & FMT_TRIS_NORMALS ? 4 : 0) +
-                      (attributes & FMT_TRIS_TEXCOORDS ? 8 : 0) +
-                      (attributes & FMT_TRIS_COLORS ? 4 : 0);
+    uint64_t vertex =
+        12 + (attributes & FMT_TRIS_NORMALS ? 4 : 0) + (attributes & FMT_TRIS_TEXCOORDS ? 8 : 0) +
+        (attributes & FMT_TRIS_COLORS ? 4 : 0) + (attributes & FMT_TRIS_FINE_COLORS ? 4 : 0);
     uint64_t triangle = 12 + (attributes & FMT_TRIS_MATERIALS ? 4 : 0);
     return vertex * MAX_VERTICES + triangle * FMT_TRIS_CHUNK_TRIANGLES +
            ((uint64_t)4 << MAX_TABLE_BITS) + (sizeof(struct corner_cache) << CACHE_BITS) +
@@ -56,6 +56,8 @@ int vox_chunk_builder_init(struct chunk_builder *b, const struct scan *scan,
         BSQ_PASS(bsq_alloc(b->ctx, what, MAX_VERTICES, 8, &b->texcoords));
     if (attributes & FMT_TRIS_COLORS)
         BSQ_PASS(bsq_alloc(b->ctx, what, MAX_VERTICES, 4, &b->colors));
+    if (attributes & FMT_TRIS_FINE_COLORS)
+        BSQ_PASS(bsq_alloc(b->ctx, what, MAX_VERTICES, 4, &b->fine_colors));
     if (attributes & FMT_TRIS_MATERIALS)
         BSQ_PASS(bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, 4, &b->materials));
     return 0;
@@ -65,8 +67,8 @@ void vox_chunk_builder_free(struct chunk_builder *b)
 {
     if (!b->ctx)
         return;
-    BSQ_FREE(b->ctx, b->positions, b->normals, b->texcoords, b->colors, b->triangles, b->materials,
-             b->table, b->cache, b->plain, b->encoded);
+    BSQ_FREE(b->ctx, b->positions, b->normals, b->texcoords, b->colors, b->fine_colors,
+             b->triangles, b->materials, b->table, b->cache, b->plain, b->encoded);
     memset(b, 0, sizeof *b);
 }
 
@@ -104,7 +106,8 @@ static inline bool same_vertex(const struct chunk_builder *b, uint32_t number,
     return memcmp(b->positions[number], v->position, 12) == 0 &&
            (!b->normals || b->normals[number] == v->normal) &&
            (!b->texcoords || memcmp(b->texcoords[number], v->texcoord, 8) == 0) &&
-           (!b->colors || b->colors[number] == v->color);
+           (!b->colors || b->colors[number] == v->color) &&
+           (!b->fine_colors || b->fine_colors[number] == v->fine_color);
     /* NOLINTEND(bugprone-suspicious-memory-comparison) */
 }
 
@@ -168,6 +171,8 @@ static uint32_t build_add_vertex(struct chunk_builder *b, const struct vertex *v
         memcpy(b->texcoords[number], v->texcoord, 8);
     if (b->colors)
         b->colors[number] = v->color;
+    if (b->fine_colors)
+        b->fine_colors[number] = v->fine_color;
     return enter_vertex(b, slot, hash);
 }
 
@@ -404,6 +409,7 @@ int vox_chunk_builder_run(struct chunk_builder *b, const uint8_t *tuples,
         .normals = b->normals,
         .texcoords = (const float(*)[2])b->texcoords,
         .colors = b->colors,
+        .fine_colors = b->fine_colors,
         .triangles = (const uint32_t(*)[3])b->triangles,
         .materials = b->materials,
     };

@@ -22,7 +22,7 @@ struct chunk_builder {
     float (*positions)[3];
     uint32_t *normals;
     float (*texcoords)[2];
-    uint32_t *colors;
+    uint32_t *colors, *fine_colors;
     uint32_t (*triangles)[3];
     uint32_t *materials;
     uint32_t vertex_count;

@@ -232,6 +232,16 @@ static uint64_t read_end(const struct gather_kind *kind, uint64_t first, uint64_
     return last + 1;
 }
 
+/* Scales fine colours in a buffer, and reads the colours beside them to its end. */
+static int scale_fine_colors(const struct scan *scan, uint64_t first, uint64_t count,
+                             uint32_t *buffer)
+{
+    const int status = stream_read(&scan->streams[SCAN_COLORS], first, count, buffer + count);
+    if (status == 0)
+        vox_scan_scale_colors(scan, first, count, buffer + count, buffer);
+    return status;
+}
+
 static int fetch_range(void *arg, uint64_t number, unsigned worker)
 {
     const struct fetch *fetch = arg;
@@ -251,7 +261,9 @@ static int fetch_range(void *arg, uint64_t number, unsigned worker)
         uint64_t count = (end_word < words ? 64 * end_word : kind->count) - 64 * word;
         status = stream_read(stream, 64 * word, count, buffer);
         if (status == 0 && fetch->stream == SCAN_COLORS)
-            vox_scan_scale_colors(w->scan, 64 * word, count, (uint32_t *)(void *)buffer);
+            vox_scan_scale_colors(w->scan, 64 * word, count, (uint32_t *)(void *)buffer, NULL);
+        if (status == 0 && fetch->stream == SCAN_FINE_COLORS)
+            status = scale_fine_colors(w->scan, 64 * word, count, (uint32_t *)(void *)buffer);
         if (status == 0)
             window_gather(kind, word, end_word, buffer, bytes, w->elements[fetch->stream]);
         word = end_word - 1;

@@ -44,7 +44,10 @@ void vox_tuple_vertex(const struct tuple_layout *layout, const struct scan *scan
     memcpy(out->position, stream_at(&streams[SCAN_POSITIONS], v, 12), 12);
     if (scan->attributes & FMT_TRIS_COLORS) {
         memcpy(&out->color, stream_at(&streams[SCAN_COLORS], v, 4), 4);
-        vox_scan_scale_colors(scan, v, 1, &out->color);
+        const bool fine = scan->attributes & FMT_TRIS_FINE_COLORS;
+        if (fine)
+            memcpy(&out->fine_color, stream_at(&streams[SCAN_FINE_COLORS], v, 4), 4);
+        vox_scan_scale_colors(scan, v, 1, &out->color, fine ? &out->fine_color : NULL);
     }
     if (scan->attributes & FMT_TRIS_TEXCOORDS) {
         uint64_t t = tuple_load(corner + layout->index_at[FMT_MESH_TEXCOORD],

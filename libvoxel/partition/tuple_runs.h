@@ -77,7 +77,7 @@ struct vertex {
     float position[3];
     uint32_t normal; /* SCAN_NO_NORMAL: use the triangle's */
     float texcoord[2];
-    uint32_t color;
+    uint32_t color, fine_color;
 };
 
 /* Looks up the values of a corner. All streams must be in memory. */

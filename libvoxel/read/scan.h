@@ -23,8 +23,9 @@
 enum scan_stream {
     SCAN_POSITIONS, /* float[3], relative to the origin */
     SCAN_COLORS,    /* see vox_scan_scale_colors(); as long as the positions if has_colors is set */
-    SCAN_TEXCOORDS, /* float[2] */
-    SCAN_NORMALS,   /* octahedral, or SCAN_NO_NORMAL */
+    SCAN_FINE_COLORS, /* see fmt_tris_fine_color(); as long as they are or, if all are 0, empty */
+    SCAN_TEXCOORDS,   /* float[2] */
+    SCAN_NORMALS,     /* octahedral, or SCAN_NO_NORMAL */
     SCAN_STREAM_COUNT
 };
 
@@ -166,11 +167,11 @@ bool vox_scan_has_elements(const struct fmt_mesh_batch *batch);
 /* Appends a batch's elements to the streams. Serial, in the order of the file. Errors:
  * BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA. */
 int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_batch *batch);
-/* Turns colours of the vertices from `first` on, as the stream has them, into RGBA8 sRGB in place.
- * Those whose scale was known when they were read are such colours. Call vox_scan_finish() before.
- */
+/* Turns colours of the vertices from `first` on, as the stream has them, into RGBA8 sRGB in place,
+ * and the fine colours beside them, unless `fine` is NULL. Those whose scale was known when they
+ * were read are such colours. Call vox_scan_finish() before. */
 void vox_scan_scale_colors(const struct scan *scan, uint64_t first, uint64_t count,
-                           uint32_t *colors);
+                           uint32_t *colors, uint32_t *fine);
 /* Prefaults memory that streams will fill next. From any thread. */
 void vox_scan_prefault(struct scan *scan);
 /* Ends appending: the streams can be read from then on. A second call does nothing. */
@@ -245,8 +246,8 @@ static inline uint32_t scan_stored_attributes(const struct scan *scan)
 /* Returns whether the chunk file has this stream's attribute, after vox_scan_find_materials(). */
 static inline bool scan_keeps(const struct scan *scan, enum scan_stream stream)
 {
-    static const uint32_t attributes[SCAN_STREAM_COUNT] = {0, FMT_TRIS_COLORS, FMT_TRIS_TEXCOORDS,
-                                                           FMT_TRIS_NORMALS};
+    static const uint32_t attributes[SCAN_STREAM_COUNT] = {0, FMT_TRIS_COLORS, FMT_TRIS_FINE_COLORS,
+                                                           FMT_TRIS_TEXCOORDS, FMT_TRIS_NORMALS};
     return stream == SCAN_POSITIONS || (scan->attributes & attributes[stream]) != 0;
 }
 

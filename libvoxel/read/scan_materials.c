@@ -502,6 +502,7 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
     warn_without_names(scan);
     BSQ_PASS(check_channels(scan));
     scan->attributes = (scan->has_colors ? FMT_TRIS_COLORS : 0) |
+                       (scan_count(scan, SCAN_FINE_COLORS) > 0 ? FMT_TRIS_FINE_COLORS : 0) |
                        (scan->has_normals ? FMT_TRIS_NORMALS : 0) |
                        (scan->material_count > 0 ? FMT_TRIS_MATERIALS : 0);
     if (vox_scan_find_texture(scan, false))

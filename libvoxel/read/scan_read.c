@@ -24,6 +24,7 @@ int vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limi
         uint32_t element_bytes;
     } streams[SCAN_STREAM_COUNT] = {[SCAN_POSITIONS] = {"vertices", 12},
                                     [SCAN_COLORS] = {"colours", 4},
+                                    [SCAN_FINE_COLORS] = {"fine colours", 4},
                                     [SCAN_TEXCOORDS] = {"texture coordinates", 8},
                                     [SCAN_NORMALS] = {"normals", 4}};
     for (int i = 0; i < SCAN_STREAM_COUNT; i++)
@@ -230,8 +231,24 @@ static uint32_t scale_color(uint32_t packed, bool bytes)
     return color;
 }
 
+/* Returns the fine colour beside the result of scale_color(). fine: the one as it was read. */
+static uint32_t scale_fine_color(uint32_t packed, bool bytes, uint32_t fine)
+{
+    const uint32_t color = scale_color(packed, bytes);
+    uint32_t scaled = 0;
+    for (int i = 0; i < 3; i++) {
+        const int32_t part = packed >> 9 * i & 511, rest = fmt_tris_color_rest(fine, i);
+        if (bytes == (part > 255))
+            scaled |= fmt_tris_pack_rest(rest, i);
+        else if (bytes) /* up to 1: steps of 1/255 become steps of 1 */
+            scaled |= fmt_tris_pack_rest(
+                (1024 * part + rest + 127) / 255 - 1024 * (int32_t)(color >> 8 * i & 255), i);
+    }
+    return scaled;
+}
+
 void vox_scan_scale_colors(const struct scan *scan, uint64_t first, uint64_t count,
-                           uint32_t *colors)
+                           uint32_t *colors, uint32_t *fine)
 {
     uint32_t file = 0;
     for (uint64_t i = 0; i < count; i++) {
@@ -239,8 +256,19 @@ void vox_scan_scale_colors(const struct scan *scan, uint64_t first, uint64_t cou
             continue;
         while (first + i >= scan->files[file].ends[FMT_MESH_VERTEX])
             file++;
-        colors[i] = scale_color(colors[i], scan->files[file].largest_color > COLOR_BRIGHT);
+        const bool bytes = scan->files[file].largest_color > COLOR_BRIGHT;
+        if (fine)
+            fine[i] = scale_fine_color(colors[i], bytes, fine[i]);
+        colors[i] = scale_color(colors[i], bytes);
     }
+}
+
+/* Returns the colour of a vertex up to those of the batch, as written; NULL without one. */
+static const float *color_of(const struct fmt_mesh_batch *batch, uint64_t vertex)
+{
+    return batch->colors && vertex >= batch->vertex_base
+               ? batch->colors[vertex - batch->vertex_base]
+               : NULL;
 }
 
 static int convert_colors(struct scan *scan, const struct fmt_mesh_batch *batch, uint64_t first,
@@ -248,11 +276,32 @@ static int convert_colors(struct scan *scan, const struct fmt_mesh_batch *batch,
 {
     uint32_t *to = out;
     for (uint64_t i = first; i < first + count; i++) {
-        const float *color =
-            batch->colors && i >= batch->vertex_base ? batch->colors[i - batch->vertex_base] : NULL;
+        const float *color = color_of(batch, i);
         *to++ = !color                     ? SCAN_DEFAULT_COLOR
                 : scan->batch_scale > 0.0f ? pack_color(scan, color, scan->batch_scale)
                                            : pack_unscaled(&scan->files[batch->file], color);
+    }
+    return 0;
+}
+
+static int convert_fine_colors(struct scan *scan, const struct fmt_mesh_batch *batch,
+                               uint64_t first, uint64_t count, void *out)
+{
+    uint32_t *to = out;
+    for (uint64_t i = first; i < first + count; i++) {
+        const float *color = batch->fine_colors ? color_of(batch, i) : NULL;
+        uint32_t fine = 0;
+        for (int k = 0; color && scan_color_given(color) && k < 3; k++) {
+            float value = color[k] * (scan->batch_scale > 0.0f ? scan->batch_scale
+                                      : color[k] > 1.0f        ? 1.0f
+                                                               : 255.0f);
+            value = value > 0.0f ? value : 0.0f;
+            value = value < 255.0f ? value : 255.0f;
+            /* The rounding of pack_color() and pack_unscaled(). */
+            const float rest = value - (float)(uint32_t)(value + 0.5f);
+            fine |= fmt_tris_pack_rest((int32_t)lrintf(1024.0f * rest), k);
+        }
+        *to++ = fine;
     }
     return 0;
 }
@@ -410,7 +459,10 @@ static int add_vertices(struct scan *scan, const struct fmt_mesh_batch *batch)
         return 0;
     BSQ_PASS(note_missing_colors(scan, batch));
     scan->batch_scale = batch->color_white > 0.0f ? 255.0f / batch->color_white : 0.0f;
-    return append(scan, batch, SCAN_COLORS, end, convert_colors);
+    BSQ_PASS(append(scan, batch, SCAN_COLORS, end, convert_colors));
+    return batch->fine_colors || scan_count(scan, SCAN_FINE_COLORS) > 0
+               ? append(scan, batch, SCAN_FINE_COLORS, end, convert_fine_colors)
+               : 0;
 }
 
 /* Counts the elements that a batch with some adds to its file. */

@@ -376,6 +376,7 @@ static void fill_report(const struct vox_run *run, const struct fmt_nvdb_totals 
     report->grid_bytes = totals->file_bytes;
     report->voxel_size = run->transform.h;
     report->has_color = fmt_tris_has_color(run->header);
+    report->rounds_colors = (run->header->attributes & FMT_TRIS_FINE_COLORS) != 0;
     report->has_ids = run->options->ids;
     memcpy(report->index_min, totals->index_min, sizeof report->index_min);
     memcpy(report->index_max, totals->index_max, sizeof report->index_max);

@@ -35,7 +35,7 @@ def _tris_checksum(content):
         _add(total, "QQQII3f3f", e.offset, e.size_bytes, e.first_triangle, e.triangle_count,
              e.vertex_count, *e.bounds_min, *e.bounds_max)
         for values in (chunk.positions, chunk.normals, chunk.texcoords, chunk.colors,
-                       chunk.materials):
+                       chunk.fine_colors, chunk.materials):
             if values is not None:
                 total.update(values.tobytes())
         total.update(chunk.triangles.astype("<u4").tobytes())

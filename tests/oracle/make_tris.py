@@ -3,7 +3,8 @@ import struct
 
 import numpy
 
-from read_tris import COLORS, CREASE_BYTES, ENTRY_BYTES, HEADER_BYTES, MATERIALS, NONE, NORMALS, SAMPLES, TEXCOORDS
+from read_tris import (COLORS, CREASE_BYTES, ENTRY_BYTES, FINE_COLORS, HEADER_BYTES, MATERIALS, NONE, NORMALS,
+                       SAMPLES, TEXCOORDS)
 from refusal import checksum
 
 COORDINATES = [0.0, -0.0, 1.0, -1.5, 1e-45, -1e-38, 3.4028235e38, -3.4028235e38, 500000.125]
@@ -71,6 +72,8 @@ def _make_chunk(random, attributes, material_count):
         chunk["texcoords"] = random.normal(0, 1, (nv, 2)).astype("<f4")
     if attributes & COLORS:
         chunk["colors"] = (random.integers(0, 1 << 24, nv) | 0xFF000000).astype("<u4")
+    if attributes & FINE_COLORS:
+        chunk["fine_colors"] = random.integers(0, 1 << 30, nv).astype("<u4")
     if attributes & MATERIALS:
         numbers = list(range(material_count)) + [NONE]
         chunk["materials"] = random.choice(numbers, nt).astype("<u4")
@@ -105,7 +108,9 @@ def _bounds(positions):
 
 def make(random):
     """Returns a random scan as a dictionary that encode() takes."""
-    attributes = int(random.integers(0, 32))
+    attributes = int(random.integers(0, 64))
+    if not attributes & COLORS:
+        attributes &= ~FINE_COLORS
     channels = []
     if random.random() < 0.5:
         channels = list(random.permutation([b"roughness", b"a", b"x_1"])[:random.integers(1, 4)])
@@ -124,7 +129,7 @@ def make(random):
 
 def _encode_chunk(chunk):
     data = b""
-    for name in ("positions", "normals", "texcoords", "colors", "materials", "samples"):
+    for name in ("positions", "normals", "texcoords", "colors", "fine_colors", "materials", "samples"):
         if name in chunk:
             data += chunk[name].tobytes()
     kind = "<u2" if len(chunk["positions"]) <= 65536 else "<u4"
@@ -259,7 +264,7 @@ def _odd_triangle(random, scan):
 
 def _odd_attribute(random, scan):
     for chunk in scan["chunks"][-1:]:
-        names = [n for n in ("normals", "colors", "materials", "texcoords", "samples",
+        names = [n for n in ("normals", "colors", "fine_colors", "materials", "texcoords", "samples",
                              "made_normals", "creases") if len(chunk.get(n, ()))]
         if names:
             values = chunk[random.choice(names)].view("<u4").ravel()
@@ -325,7 +330,7 @@ def _mend_entry(data, at):
         made = data[normals:normals + 8 * nv] + data[creases:creases + 16 * count]
         struct.pack_into("<Q", data, at + 88, checksum(made))
     if attributes & SAMPLES:
-        of_vertices = sum(b for a, b in ((NORMALS, 4), (TEXCOORDS, 8), (COLORS, 4)) if attributes & a)
+        of_vertices = sum(b for a, b in ((NORMALS, 4), (TEXCOORDS, 8), (COLORS, 4), (FINE_COLORS, 4)) if attributes & a)
         begin = nv * (12 + of_vertices) + (4 * nt if attributes & MATERIALS else 0)
         end = begin + 16 * ((nt + 63) // 64)
         if end <= size:

@@ -113,6 +113,7 @@ static void add_chunk(struct reading *r, const struct fmt_tris_chunk_info *info,
     add(r, c->normals, c->normals ? nv * sizeof *c->normals : 0);
     add(r, c->texcoords, c->texcoords ? nv * sizeof *c->texcoords : 0);
     add(r, c->colors, c->colors ? nv * sizeof *c->colors : 0);
+    add(r, c->fine_colors, c->fine_colors ? nv * sizeof *c->fine_colors : 0);
     add(r, c->materials, c->materials ? nt * sizeof *c->materials : 0);
     add(r, c->triangles, nt * sizeof *c->triangles);
 }

@@ -12,7 +12,7 @@ import numpy
 from refusal import Refused, array, checksum, fields, has_minus_32768, is_finite, is_zero, need
 
 HEADER_BYTES, ENTRY_BYTES, SOURCE_BYTES, CREASE_BYTES = 176, 104, 36, 16
-NORMALS, TEXCOORDS, COLORS, MATERIALS, SAMPLES = 1, 2, 4, 8, 16
+NORMALS, TEXCOORDS, COLORS, MATERIALS, SAMPLES, FINE_COLORS = 1, 2, 4, 8, 16, 32
 NONE = 0xFFFFFFFF
 
 
@@ -67,6 +67,7 @@ class Chunk:
     normals: numpy.ndarray = None
     texcoords: numpy.ndarray = None
     colors: numpy.ndarray = None
+    fine_colors: numpy.ndarray = None
     materials: numpy.ndarray = None
     samples: numpy.ndarray = None
     made_normals: numpy.ndarray = None
@@ -90,7 +91,8 @@ def _read_header(data):
     need(header.version == 7, f"version {header.version}")
     need(header.header_checksum == checksum(data[:168]), "checksum of the header")
     need(header.file_bytes == len(data), "length of the file")
-    need(header.attributes < 32, "unknown attributes")
+    need(header.attributes < 64, "unknown attributes")
+    need(header.attributes & COLORS or not header.attributes & FINE_COLORS, "fine colours alone")
     need(header.made_normals <= 3 and not (header.made_normals and header.attributes & NORMALS),
          "unknown normals")
     need(header.ids <= 3, "unknown ids")
@@ -193,6 +195,8 @@ def _arrays(header, entry):
         arrays.append(("texcoords", "f4", (nv, 2)))
     if header.attributes & COLORS:
         arrays.append(("colors", "u4", (nv,)))
+    if header.attributes & FINE_COLORS:
+        arrays.append(("fine_colors", "u4", (nv,)))
     if header.attributes & MATERIALS:
         arrays.append(("materials", "u4", (nt,)))
     if header.attributes & SAMPLES:
@@ -332,6 +336,7 @@ def _verify_chunk(chunk):
         _verify_normals(chunk.made_normals)
         _verify_normals(chunk.creases["second"])
     need(chunk.colors is None or (chunk.colors >> 24 == 255).all(), "a colour is not opaque")
+    need(chunk.fine_colors is None or (chunk.fine_colors >> 30 == 0).all(), "bits of a fine colour")
     if chunk.samples is not None:
         need(chunk.entry.sample_checksum == checksum(chunk.samples.tobytes()),
              "checksum of a sample")

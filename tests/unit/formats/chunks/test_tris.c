@@ -68,6 +68,7 @@ static void expect_file(struct tris_fixture *f, uint32_t chunk_count)
         expect_array(got.normals, e->normals, 4 * (size_t)e->vertex_count);
         expect_array(got.texcoords, e->texcoords, 8 * (size_t)e->vertex_count);
         expect_array(got.colors, e->colors, 4 * (size_t)e->vertex_count);
+        expect_array(got.fine_colors, e->fine_colors, 4 * (size_t)e->vertex_count);
         expect_array(got.triangles, e->triangles, 12 * (size_t)e->triangle_count);
         expect_array(got.materials, e->materials, 4 * (size_t)e->triangle_count);
         expect_bounds(e, &infos[i]);
@@ -80,7 +81,9 @@ static void expect_file(struct tris_fixture *f, uint32_t chunk_count)
 
 FIXTURE_TEST(every_set_of_attributes_comes_back)
 {
-    for (uint32_t attributes = 0; attributes < 32; attributes++) {
+    for (uint32_t attributes = 0; attributes < 64; attributes++) {
+        if (attributes & FMT_TRIS_FINE_COLORS && !(attributes & FMT_TRIS_COLORS))
+            continue;
         tris_fill(f->samples[0], attributes, 101 + attributes, 57 + attributes, 1 + attributes);
         tris_fill(f->samples[1], attributes, 1, 3, 100 + attributes);
         tris_write_samples(f, attributes, 2);

@@ -309,7 +309,8 @@ FIXTURE_TEST(values_out_of_range_are_found)
         {8, 8, "chunk file of version 8, this program reads version 7"},
         {8, 0, "chunk file of version 0, this program reads version 7"},
         {8, 0x07000000, "big-endian"},
-        {12, 63, "unknown attributes"},
+        {12, 127, "unknown attributes"},
+        {12, 32, "unknown attributes"}, /* fine colours without colours */
         {24, 0x10000000, "another length"},
         {60, 0x7ff80000, "the origin is not finite"},
         {72, 0x7fc00000, "bounds"},

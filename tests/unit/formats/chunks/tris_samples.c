@@ -22,6 +22,7 @@ void tris_fill(struct tris_sample *s, uint32_t attributes, uint32_t triangles, u
         s->texcoords[v][1] = next_float(&seed);
         s->normals[v] = next(&seed);
         s->colors[v] = next(&seed);
+        s->fine_colors[v] = ~s->colors[v];
     }
     uint32_t corner = 0;
     for (uint32_t t = 0; t < triangles; t++) {
@@ -36,6 +37,7 @@ void tris_fill(struct tris_sample *s, uint32_t attributes, uint32_t triangles, u
         .normals = attributes & FMT_TRIS_NORMALS ? s->normals : NULL,
         .texcoords = attributes & FMT_TRIS_TEXCOORDS ? (const float(*)[2])s->texcoords : NULL,
         .colors = attributes & FMT_TRIS_COLORS ? s->colors : NULL,
+        .fine_colors = attributes & FMT_TRIS_FINE_COLORS ? s->fine_colors : NULL,
         .triangles = (const uint32_t(*)[3])s->triangles,
         .materials = attributes & FMT_TRIS_MATERIALS ? s->materials : NULL,
     };

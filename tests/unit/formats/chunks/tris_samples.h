@@ -12,7 +12,7 @@
 struct tris_sample {
     struct fmt_tris_chunk chunk;
     float positions[MAX_VERTICES][3], texcoords[MAX_VERTICES][2];
-    uint32_t normals[MAX_VERTICES], colors[MAX_VERTICES];
+    uint32_t normals[MAX_VERTICES], colors[MAX_VERTICES], fine_colors[MAX_VERTICES];
     uint32_t triangles[FMT_TRIS_CHUNK_TRIANGLES][3], materials[FMT_TRIS_CHUNK_TRIANGLES];
 };
 
