@@ -6,6 +6,10 @@
  * "Flash photography enhancement via intrinsic relighting", 2004; with geometry as the guide:
  * McCool, "Anisotropic diffusion for Monte Carlo noise reduction", 1999).
  *
+ * Where values differ by more than their noise does, a texel keeps that share of its difference
+ * from the mean which is not noise (Lee, "Digital image enhancement and noise filtering by use of
+ * local statistics", 1980): relief and contact shadows as fine as texels stay.
+ *
  * Texels are sorted into cells of the width of r: into layers along the longest axis of their
  * bounds, and by the other two axes within a layer. Neighbours of a texel are then in nine runs of
  * cells. A window of layers is in memory at a time. */
@@ -223,7 +227,7 @@ struct run {
 };
 
 struct sums {
-    double weight, values[MOST_VALUES];
+    double weight, values[MOST_VALUES], squares[MOST_VALUES];
 };
 
 /* Returns x to the power of 32: normals that differ by 12 degrees have half of the weight. */
@@ -253,9 +257,24 @@ static void filter_add_run(const struct work *work, const struct point *to, uint
             continue;
         const double weight = (double)(near * near * sharpen(facing) * level);
         sums->weight += weight;
-        for (uint32_t i = 0; i < MOST_VALUES; i++)
-            sums->values[i] += weight * (double)(*p)->values[i];
+        for (uint32_t i = 0; i < MOST_VALUES; i++) {
+            const double value = (double)(*p)->values[i];
+            sums->values[i] += weight * value;
+            sums->squares[i] += weight * value * value;
+        }
     }
+}
+
+/* Returns the result of a value, from the sums of those near it. */
+static float filter_value(const struct sums *sums, uint32_t k, double value, double noise)
+{
+    if (!(sums->weight > 0))
+        return (float)value;
+    const double mean = sums->values[k] / sums->weight,
+                 spread = sums->squares[k] / sums->weight - mean * mean,
+                 share = noise * mean * (1 - mean);
+    return (float)(noise > 0 && spread > share ? mean + (value - mean) * (1 - share / spread)
+                                               : mean);
 }
 
 static int filter_layer(void *arg, uint64_t index, unsigned worker)
@@ -280,8 +299,7 @@ static int filter_layer(void *arg, uint64_t index, unsigned worker)
             for (uint64_t r = row > 0 ? 0 : 1; r < 3; r++)
                 filter_add_run(work, to, row + r - 1, column, &runs[l][r], &sums);
         for (uint32_t k = 0; k < MOST_VALUES; k++)
-            to->results[k] =
-                sums.weight > 0 ? (float)(sums.values[k] / sums.weight) : to->values[k];
+            to->results[k] = filter_value(&sums, k, (double)to->values[k], work->filter->noise[k]);
     }
     bsq_progress_add(work->ctx, work->ends[layer] - before(work, layer));
     return bsq_check(work->ctx);

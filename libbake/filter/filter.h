@@ -14,6 +14,9 @@ struct bake_filter {
     struct bake_image *image;
     uint32_t count;      /* of the values: 1 or 2 */
     uint32_t offsets[2]; /* of the values in a texel of the image */
+    /* The variance that noise gives a value p, divided by p (1 - p); 0: not known, so means replace
+     * all values. */
+    double noise[2];
     /* Of BAKE_GUIDE_VALUES: position in world units, unit normal or 0, any two values. */
     uint32_t guide;
     double texel; /* side of a texel on the mesh, in world units; 0: nothing is near */

@@ -87,6 +87,35 @@ ok $bake vase.tris vase_low.obj $filtered -o f16.png
 compare "relief stays" 'filtered < 0.75 * few && mean < 0.002 && mean > -0.002' \
     n1024.png n16.png f16.png n64.png
 
+ok $bake vase.tris vase_low.obj $maps --rays ao=64,filter=surface -o f64.png
+compare "the filter does not make relief of many rays worse" 'filtered <= 1.05 * many && mean < 0.002 && mean > -0.002' \
+    n1024.png n16.png f64.png n64.png
+
+# ---- a fin on a floor, two texels thick; two plates with a slot of a texel, one of them below a roof ----
+
+# box X0,X1 Y0,Y1 Z0,Z1 VERTICES: a box after this many vertices.
+box()
+{
+    awk -v x="$1" -v y="$2" -v z="$3" -v n="$4" 'BEGIN { split(x, X, ","); split(y, Y, ","); split(z, Z, ",")
+        for (i = 0; i < 8; i++) print "v", X[i % 2 + 1], Y[int(i / 2) % 2 + 1], Z[int(i / 4) + 1]
+        split("1 3 4 2 5 6 8 7 1 2 6 5 3 7 8 4 1 5 7 3 2 4 8 6", f, " ")
+        for (i = 0; i < 6; i++) print "f", f[4 * i + 1] + n, f[4 * i + 2] + n, f[4 * i + 3] + n, f[4 * i + 4] + n }'
+}
+{ box -.5,1.5 -.5,1.5 -.1,0 0; box .485,.515 .1,.9 -.01,.4 8; } >fin.obj
+{ box 0,.492 0,1 -.3,0 0; box .508,1 0,1 -.3,0 8; box -.2,.5 -.2,1.2 .1,.12 16; } >slot.obj
+printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3 4/4\n' >square.obj
+maps="--maps ao --size 64 --samples 1 --type 16 --padding 0 --front 0.005 --back 0.005"
+for scan in fin slot; do
+    ok run bisque-voxelize $scan.obj -o $scan.tris
+    ok $bake $scan.tris square.obj $maps --rays ao=4096 -o n4096.png
+    for rays in 16 64 256; do
+        ok $bake $scan.tris square.obj $maps --rays ao=$rays -o n$rays.png
+        ok $bake $scan.tris square.obj $maps --rays ao=$rays,filter=surface -o f$rays.png
+        compare "$scan: the filter is not worse than none, $rays rays" 'filtered <= 1.05 * many' \
+            n4096.png n16.png f$rays.png n$rays.png
+    done
+done
+
 # ---- the same bytes ----
 
 maps="--maps normal,ao,curvature --size 384 --samples 1 --rays ao=1,filter=surface --type float"
