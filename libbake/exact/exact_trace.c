@@ -167,9 +167,47 @@ static void trace_add_progress(const struct wave *wave, const struct block *bloc
                            part * (double)block->end);
 }
 
+/* Returns the corners of the triangle of a hit. */
+static const uint32_t *hit_corners(const struct wave *wave, const struct exact_slot *slot,
+                                   uint64_t ray)
+{
+    return slot->chunk.triangles[wave->batch->hits[ray].triangle -
+                                 wave->exact->chunks[slot->number].first_triangle];
+}
+
+static int prefetch_corners(const struct wave *wave, struct exact_slot *slot, uint64_t ray)
+{
+    __builtin_prefetch(hit_corners(wave, slot, ray));
+    return 0;
+}
+
+static int prefetch_vertices(const struct wave *wave, struct exact_slot *slot, uint64_t ray)
+{
+    const uint32_t *v = hit_corners(wave, slot, ray);
+    for (int i = 0; i < 3; i++) {
+        __builtin_prefetch(slot->chunk.positions[v[i]]);
+        if (wave->exact->smooth)
+            __builtin_prefetch(&slot->normals.vertices[v[i]]);
+    }
+    return 0;
+}
+
 static int shade_hit(const struct wave *wave, struct exact_slot *slot, uint64_t ray)
 {
     return bake_exact_shade(wave->exact, slot, wave->batch, ray);
+}
+
+/* Shades the hits of a block. Neighbouring rays hit triangles all over the chunk, so their data is
+ * prefetched: corners a bundle ahead, then vertices. */
+static int shade_block(const struct wave *wave, struct exact_slot *slot, const struct block *block)
+{
+    int status = 0;
+    for (uint64_t i = block->begin; i < block->end && status == 0; i++) {
+        each_hit(wave, slot, i + 1, i + 2 < block->end ? i + 2 : block->end, prefetch_corners);
+        each_hit(wave, slot, i, i + 1, prefetch_vertices);
+        status = each_hit(wave, slot, i, i + 1, shade_hit);
+    }
+    return status;
 }
 
 static int run_block(void *arg, uint64_t index, unsigned worker)
@@ -179,7 +217,7 @@ static int run_block(void *arg, uint64_t index, unsigned worker)
     const struct block *block = &wave->blocks[index];
     struct exact_slot *slot = &wave->memory->slots.slots[block->slot];
     if (wave->shading)
-        return each_hit(wave, slot, block->begin, block->end, shade_hit);
+        return shade_block(wave, slot, block);
     for (uint64_t i = block->begin; i < block->end; i++)
         trace_trace_bundle(wave, slot, i);
     trace_add_progress(wave, block);
