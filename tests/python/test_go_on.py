@@ -83,7 +83,9 @@ def run(folder, words, **faults):
     done = subprocess.run([sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True,
                           errors="replace")
     assert done.returncode in (0, *FAILURES, -signal.SIGKILL) or UNWRAP in words, (done.returncode, done.stderr)
-    if done.returncode in (-signal.SIGKILL, -signal.SIGTERM, -signal.SIGHUP):
+    said = [line for line in done.stderr.splitlines() if not line.startswith("bisque-asset: warning: ")]
+    assert len(said) == (done.returncode > 0) or UNWRAP in words, done.stderr
+    if faults.get("FAULT_STICKY") or done.returncode in (-signal.SIGKILL, -signal.SIGTERM, -signal.SIGHUP):
         shutil.rmtree(temporary)  # Python could not
     else:
         # Python tries a folder with a file of letters, which may stay.
@@ -128,6 +130,7 @@ def draw_fault(draw, calls):
     names = {re.sub("^(#|bisque-(?!steps)).*", r"\1", os.path.basename(path)) for path in paths}
     name = draw.choice(sorted(names)) if draw.random() < 0.7 else ""
     return {"FAULT_CALLS": " ".join(CALLS), "FAULT_PATH": name, "FAULT_DO": draw.choice(["TERM", "INT", "HUP", "KILL"]),
+            "FAULT_STICKY": draw.choice(["", "", "1"]),  # and each call after it: a second signal ends a job at once
             "FAULT_AT": str(draw.randint(1, sum(name in path for path in paths)))}
 
 

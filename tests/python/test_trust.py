@@ -356,28 +356,6 @@ def test_a_signal_while_python_imports(kind, module, tmp_path):
     assert judge(done, tmp_path / "a.glb") is None and done.returncode in (66, 75)
 
 
-def test_a_signal_at_any_moment_is_one_line(tmp_path):
-    """Interrupted at random moments after its start; a job that is over before is complete."""
-    scan, out = write_scan(tmp_path / "in"), tmp_path / "a.glb"
-    draw = np.random.default_rng(7)
-    for _ in range(40 if os.environ.get("LONG") else 12):
-        given = (scan, "-o", out, "--triangles", 60, "--size", 32, "--progress", "json")
-        with subprocess.Popen(command_of(given), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as job:
-            lines = int(draw.integers(1, 12))
-            said = [job.stderr.readline() for _ in range(lines)]
-            time.sleep(draw.random() / 20)
-            for _ in range(draw.integers(1, 3)):
-                job.send_signal(int(draw.choice([signal.SIGINT, signal.SIGTERM, signal.SIGHUP])))
-            said += job.stderr.readlines()
-        said = [line for line in said if line and not line.startswith("{")]
-        if job.returncode == 0:
-            assert not said and certificate_of(out)
-        else:
-            assert job.returncode == 75 and len(said) == 1, said
-            assert not out.exists() or not (tmp_path / "a_asset/asset.json").exists() or certificate_of(out)
-    assert judge(run_asset(scan, "-o", out, "--triangles", 60, "--size", 32), out)
-
-
 def test_results_that_cannot_be_printed_are_an_error(tmp_path):
     scan, out = write_scan(tmp_path / "in"), tmp_path / "a.glb"
     command = " ".join(f"'{word}'" for word in command_of((scan, "-o", out, "--triangles", 60, "--size", 32)))
