@@ -75,7 +75,7 @@ class Runner:
         if done.returncode not in DOCUMENTED | (FAULTS if "FAULT_DO" in environment else set()):
             raise Failure("exit code %d: %s" % (done.returncode, err[-500:]))
         said = [line for line in re.split(r"[\r\n]|\x1b\[K", err)
-                if re.match(program + r": (?!warning: |[\d,]+ rays, about |[a-z ]+: +\d+ %)", line)]
+                if re.match(program + r": (?!warning: |[\d,]+ rays, about |[a-z]+( [a-z]+)?: \d)", line)]
         self.said = "".join(said)
         if done.returncode >= 64 and len(said) != 1:
             raise Failure("exit code %d with %d lines: %s" % (done.returncode, len(said), err[-500:]))
