@@ -218,13 +218,16 @@ def test_an_image_of_the_scan_is_not_replaced(tmp_path):
     assert (tmp_path / "a_asset/color.png").read_bytes() == data and not out.exists()
 
 
-def test_an_asset_has_no_files_of_an_older_one(tmp_path):
+def test_an_asset_has_no_files_of_an_older_one(tmp_path, monkeypatch):
     scan, out = write_scan(tmp_path / "in"), tmp_path / "a.glb"
     bisque.asset(scan, out, maps=("normal", "ao", "height", "color"), report=True, **HOW)
     made = tmp_path / "a_asset"
     (made / "ao.png").write_text("mine now")
+    monkeypatch.setitem(bisque.PRESETS["museum"], "levels", [(40, 16), (60, 16)])
+    bisque.asset(scan, out, preset="museum", maps=("normal",))
+    assert (made / "1/low.obj").exists() and not (made / "low.obj").exists()
     bisque.asset(scan, out, maps=("normal",), **HOW)
-    assert {path.name for path in made.iterdir()} == {
+    assert not list(tmp_path.glob("a_[01].glb")) and {path.name for path in made.iterdir()} == {
         "asset.json", "low.obj", "low.mtl", "normal.png", "preview.png", "ao.png"}
     assert (made / "ao.png").read_text() == "mine now"
 

@@ -4,6 +4,7 @@ Each step writes files into a private folder (steps.py). The asset's own files g
 all is done, the certificate last, so that it stands beside the files that it is of, or not at all."""
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.util
 import json
@@ -433,9 +434,11 @@ def _publish(certificate: dict, made: Path, output: Path, note: Path, steps: Ste
         for copy in copies.values():
             _sync(copy)
         paper.unlink(missing_ok=True)
-        for name, checksum in older:
-            if name not in own and (made / name).is_file() and sha256(made / name)[0] == checksum:
+        for name, checksum in [file for file in older if file[0] not in own]:
+            if (made / name).is_file() and sha256(made / name)[0] == checksum:
                 (made / name).unlink()
+            with contextlib.suppress(OSError):  # unless it has other files, as `made` has
+                (made / name).parent.rmdir()
         for target, copy in copies.items():
             os.replace(copy, names[target])
         for folder in {name.parent for name in names.values()}:
