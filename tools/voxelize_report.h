@@ -16,7 +16,7 @@ struct voxelize_job {
     struct vox_voxelize_report grid;
 };
 
-/* Prints what is in files, for --info. */
+/* Prints what is in files, for --info (voxelize_info.c). */
 int voxelize_info_print(struct cli *cli, const char *const *paths, uint32_t count);
 
 /* Prints the results, as lines or as JSON. */

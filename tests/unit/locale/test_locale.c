@@ -4,7 +4,6 @@
 #include <jansson.h>
 #include <sys/stat.h>
 
-#include "formats/file_info.h"
 #include "libbake/bake.h"
 #include "libbake/compare.h"
 #include "libvoxel/voxel.h"
@@ -176,16 +175,6 @@ static void compare(struct bsq_ctx *ctx, const char *a, const char *b, const cha
     expect(ctx, bake_compare(ctx, &options, &report), 0);
 }
 
-static void describe(struct bsq_ctx *ctx, const char *path)
-{
-    json_t *info;
-    expect(ctx, fmt_describe(ctx, path, &info), 0);
-    char *text = json_dumps(info, JSON_INDENT(1));
-    note_line(NULL, text);
-    free(text);
-    json_decref(info);
-}
-
 /* Runs jobs whose messages have numbers. */
 static void tell_numbers(struct bsq_ctx *ctx)
 {
@@ -224,10 +213,6 @@ static void run_jobs(const char *directory, bool comma)
     bake_with_page(ctx);
     bake_in_parts(ctx);
     compare(ctx, "exact_height.png", "farm_height.exr", "heat.png");
-    for (int i = 0; i < 3; i++) {
-        static const char *const paths[] = {"../scan.obj", "scan.tris", "scan.nvdb"};
-        describe(ctx, paths[i]);
-    }
     tell_numbers(ctx);
     bsq_ctx_destroy(ctx);
     setlocale(LC_ALL, "C");

@@ -1,12 +1,11 @@
-/* file_info.c - see file_info.h.
+/* voxelize_info.c - describes what is in a mesh, a chunk file or a grid, for --info.
  *
  * A mesh is read once, batch by batch, so memory does not grow with it. Materials that no face uses
  * are left out. */
-#include "formats/file_info.h"
+#include "tools/voxelize_report.h"
 
 #include <float.h>
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
@@ -20,17 +19,6 @@
 #include "formats/mesh/mesh_reader.h"
 
 /* ---- JSON ---- */
-
-/* Returns a string of the text; if it is not UTF-8, of the escaped text. NULL gives null. */
-static json_t *text_json(const char *text)
-{
-    json_t *string = text ? json_string(text) : json_null();
-    char *escaped = string ? NULL : bsq_escape(text, true);
-    if (escaped)
-        string = json_string(escaped);
-    free(escaped);
-    return string;
-}
 
 static json_t *vector_json(const double v[3])
 {
@@ -58,7 +46,7 @@ static int add_once(json_t *array, const char *text)
         if (other && strcmp(other, text) == 0)
             return 0;
     }
-    return json_array_append_new(array, text_json(text));
+    return json_array_append_new(array, cli_json_text(text));
 }
 
 /* ---- meshes ---- */
@@ -129,7 +117,7 @@ static bool file_info_is_there(const char *path)
 
 static json_t *texture_json(const char *path)
 {
-    return json_pack("{s:o, s:b}", "texture", text_json(path), "found",
+    return json_pack("{s:o, s:b}", "texture", cli_json_text(path), "found",
                      (int)file_info_is_there(path));
 }
 
@@ -146,7 +134,8 @@ static json_t *channel_json(const struct fmt_material_channel *channel)
 /* Describes a material. channels: collects the names of all channels. */
 static json_t *material_json(const struct fmt_material *m, uint64_t faces, json_t *channels)
 {
-    json_t *root = json_pack("{s:o, s:I}", "name", text_json(m->name), "faces", (json_int_t)faces);
+    json_t *root =
+        json_pack("{s:o, s:I}", "name", cli_json_text(m->name), "faces", (json_int_t)faces);
     int failed = 0;
     if (m->color.texture_path || m->color.has_value)
         failed |= json_object_set_new(root, "color", channel_json(&m->color));
@@ -329,7 +318,9 @@ static int describe_grid(struct bsq_ctx *ctx, const char *path, json_t **out)
     return status;
 }
 
-int fmt_describe(struct bsq_ctx *ctx, const char *path, json_t **out)
+/* Sets *out to a description of a file, for the caller to free with json_decref(). Reads meshes
+ * whole, and of other files only what is needed. Errors: those of reading. */
+static int describe_file(struct bsq_ctx *ctx, const char *path, json_t **out)
 {
     enum fmt_kind kind;
     int status;
@@ -340,12 +331,114 @@ int fmt_describe(struct bsq_ctx *ctx, const char *path, json_t **out)
     status = kind == FMT_KIND_TRIS   ? describe_tris(ctx, path, out)
              : kind == FMT_KIND_NVDB ? describe_grid(ctx, path, out)
                                      : describe_mesh(ctx, path, out);
-    if (status == 0 && (!*out || json_object_set_new(*out, "path", text_json(path)) < 0))
+    if (status == 0 && (!*out || json_object_set_new(*out, "path", cli_json_text(path)) < 0))
         status = bsq_fail(ctx, BSQ_ENOMEM, "%s: no memory to describe it", path);
 done:
     if (status < 0) {
         json_decref(*out);
         *out = NULL;
     }
+    return status;
+}
+
+/* ---- printing ---- */
+
+/* Names of a list that are printed; --json has all. */
+enum { MOST_NAMES = 20 };
+
+static void print_value(const json_t *value);
+
+static void print_list(const json_t *list)
+{
+    const size_t count = json_array_size(list);
+    for (size_t i = 0; i < count && i < MOST_NAMES; i++) {
+        cli_print("%s", i > 0 ? ", " : "");
+        print_value(json_array_get(list, i));
+    }
+    if (count > MOST_NAMES)
+        cli_print(" and %zu more", count - MOST_NAMES);
+}
+
+/* Prints the members of an object. */
+static void print_members(const json_t *object)
+{
+    const char *key, *comma = "";
+    json_t *member;
+    json_object_foreach((json_t *)(uintptr_t)object, key, member)
+    {
+        cli_print("%s%s ", comma, key);
+        print_value(member);
+        comma = ", ";
+    }
+}
+
+static void print_value(const json_t *value)
+{
+    char text[CLI_TEXT];
+    if (json_is_array(value)) {
+        print_list(value);
+    } else if (json_is_string(value)) {
+        cli_print("%s", json_string_value(value));
+    } else if (json_is_integer(value)) {
+        cli_print("%s", cli_count_text((uint64_t)json_integer_value(value), text));
+    } else if (json_is_real(value)) {
+        cli_print("%.7g", json_real_value(value));
+    } else if (json_is_boolean(value)) {
+        cli_print("%s", json_is_true(value) ? "yes" : "no");
+    } else if (json_is_object(value)) {
+        cli_print("(");
+        print_members(value);
+        cli_print(")");
+    }
+}
+
+/* Prints a member as a line; a list of objects has a line for each. */
+static void print_member(const char *key, const json_t *value)
+{
+    const size_t count = json_array_size(value);
+    if (json_is_null(value) || (json_is_array(value) && count == 0))
+        return;
+    cli_print("  ");
+    for (const char *c = key; *c; c++)
+        cli_print("%c", *c == '_' ? ' ' : *c);
+    if (json_is_object(json_array_get(value, 0))) {
+        cli_print(":\n");
+        for (size_t i = 0; i < count && i < MOST_NAMES; i++) {
+            cli_print("    ");
+            print_members(json_array_get(value, i));
+            cli_print("\n");
+        }
+        if (count > MOST_NAMES)
+            cli_print("    and %zu more\n", count - MOST_NAMES);
+        return;
+    }
+    cli_print(": ");
+    if (json_is_object(value))
+        print_members(value);
+    else
+        print_value(value);
+    cli_print("\n");
+}
+
+int voxelize_info_print(struct cli *cli, const char *const *paths, uint32_t count)
+{
+    json_t *list = json_array();
+    int status = 0;
+    for (uint32_t i = 0; i < count; i++) {
+        const char *key;
+        json_t *info, *member;
+        BSQ_TRY(describe_file(cli->ctx, paths[i], &info));
+        cli_clear_bar(cli);
+        if (!cli->json) {
+            cli_print("%s\n", paths[i]);
+            json_object_foreach(info, key, member) if (strcmp(key, "path") != 0)
+                print_member(key, member);
+        }
+        cli_json_append(&list, info);
+    }
+    if (cli->json)
+        return cli_print_json(cli, json_pack("{s:o}", "files", list));
+done:
+    json_decref(list);
     return status;
 }
