@@ -11,6 +11,8 @@
 
 #include "base/geometry/vec.h"
 #include "libvoxel/simplify/closest.h"
+#include "libvoxel/simplify/fit.h"
+#include "libvoxel/simplify/folds.h"
 #include "libvoxel/simplify/topology.h"
 
 /* Weight of the distance from an open border, beside that from the triangles. */
@@ -35,9 +37,7 @@ static const double fold_weight = 1e6;
 /* A candidate whose cost has grown by more than this factor goes back into the heap. */
 static const double grown = 1.000001;
 
-/* Cosine between the normals of triangles that lie back to back, but for its sign. */
-static const double fold_cosine = 0.85;
-enum { CHANGED_MAX = 64, CHILDREN = 4 /* of a place in the heap: fewer levels than with 2 */ };
+enum { CHILDREN = 4 /* of a place in the heap: fewer levels than with 2 */ };
 
 struct candidate {
     uint64_t key; /* bits of the cost, which are in the order of costs, above u */
@@ -58,6 +58,8 @@ struct collapse {
     struct around *around; /* of vertices */
     uint32_t *stamps;      /* of vertices: grow with each change */
     float *drifts;         /* of vertices: how far the surface there has gone, see add_drift() */
+    float (*old)[3];       /* of vertices: where they were at first */
+    uint32_t *into;        /* sets of vertices that have become one, for vox_find_root() */
     struct candidate *heap;
     uint64_t heap_count, heap_capacity;
     struct vox_places places; /* for pieces */
@@ -374,91 +376,6 @@ static void push_edges(struct collapse *c, uint32_t vertex, bool higher)
 
 /* ---- the collapse ---- */
 
-/* A triangle as it would be: its ends beside the vertex that moves, and its normal. */
-struct changed {
-    uint32_t ends[2];
-    double normal[3];
-};
-
-/* Returns whether two triangles would lie back to back. */
-static bool is_fold(const double a[3], const double b[3])
-{
-    const double along = bsq_dotd(a, b);
-    return along < 0 && along * along > fold_cosine * fold_cosine * bsq_dotd(a, a) * bsq_dotd(b, b);
-}
-
-/* Adds the triangles of u without v, as they are with u at p. Returns how many folds they have with
- * triangles beyond their outer edges. */
-static unsigned collect_changed(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3],
-                                struct changed *changed, unsigned *count)
-{
-    const float(*positions)[3] = (const float(*)[3])r->mesh->positions;
-    unsigned folds = 0;
-    for (VOX_EACH_CORNER(r, u, k)) {
-        const uint32_t a = vox_after(r, k), b = vox_before(r, k);
-        if (a == v || b == v)
-            continue;
-        if (*count == CHANGED_MAX)
-            break;
-        struct changed *to = &changed[(*count)++];
-        const float moved[3][3] = {{p[0], p[1], p[2]},
-                                   {positions[a][0], positions[a][1], positions[a][2]},
-                                   {positions[b][0], positions[b][1], positions[b][2]}};
-        *to = (struct changed){.ends = {a, b}};
-        vox_triangle_normal(moved, (const uint32_t[3]){0, 1, 2}, to->normal);
-        for (VOX_EACH_CORNER(r, a, j)) {
-            double normal[3];
-            if (vox_words(r, j) == vox_words(r, k) ||
-                (vox_after(r, j) != b && vox_before(r, j) != b))
-                continue;
-            vox_triangle_normal(positions, vox_corners(r, j), normal);
-            folds += vox_after(r, j) != v && vox_before(r, j) != v && is_fold(to->normal, normal);
-        }
-    }
-    return folds;
-}
-
-/* Returns how many folds triangles around a vertex have with each other. */
-static unsigned count_inner(const struct changed *changed, unsigned count)
-{
-    unsigned folds = 0;
-    for (unsigned i = 1; i < count; i++)
-        for (unsigned j = 0; j < i; j++) {
-            const uint32_t *a = changed[i].ends, *b = changed[j].ends;
-            folds +=
-                (a[0] == b[1] || a[1] == b[0]) && is_fold(changed[i].normal, changed[j].normal);
-        }
-    return folds;
-}
-
-/* Returns how many folds there are at the triangles around u and v. */
-static unsigned count_folds(struct vox_rings *r, uint32_t u, uint32_t v)
-{
-    const float(*positions)[3] = (const float(*)[3])r->mesh->positions;
-    struct changed changed[CHANGED_MAX];
-    unsigned count = 0;
-    unsigned folds = collect_changed(r, u, VOX_NONE, positions[u], changed, &count);
-    folds += count_inner(changed, count);
-    count = 0;
-    folds += collect_changed(r, v, u, positions[v], changed, &count);
-    return folds + count_inner(changed, count);
-}
-
-/* Returns whether the collapse of (u, v) to p would fold the surface over: at an edge, or because a
- * triangle turns. Where there are folds already, it may turn triangles if fewer folds are left. */
-static bool makes_fold(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3])
-{
-    struct changed changed[CHANGED_MAX];
-    unsigned count = 0;
-    unsigned folds = collect_changed(r, u, v, p, changed, &count);
-    folds += collect_changed(r, v, u, p, changed, &count);
-    folds += count_inner(changed, count);
-    if (folds == 0 && vox_rings_keep_orientation(r, u, v, p) &&
-        vox_rings_keep_orientation(r, v, u, p))
-        return false;
-    return count == CHANGED_MAX || folds >= count_folds(r, u, v);
-}
-
 /* Returns the squared distance of a point from the triangles of u without v, with u at p, or `most`
  * if that is less. */
 static double find_square(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3],
@@ -579,26 +496,6 @@ static int drop_small_piece(struct collapse *c, const struct candidate *candidat
     return 1;
 }
 
-/* Returns whether a triangle in a cycle would lie back to back with one beside it. normal: of the
- * cycle. */
-static bool cap_folds(struct vox_rings *r, const uint32_t cycle[3], const double normal[3])
-{
-    bool folds = false;
-    for (int i = 0; i < 3; i++)
-        for (VOX_EACH_CORNER(r, cycle[i], k)) {
-            const uint32_t next = cycle[(i + 1) % 3];
-            const bool left = vox_after(r, k) == next;
-            double other[3];
-            if (!left && vox_before(r, k) != next)
-                continue;
-            vox_triangle_normal((const float(*)[3])r->mesh->positions, vox_corners(r, k), other);
-            for (int j = 0; j < 3 && left; j++)
-                other[j] = -other[j];
-            folds |= is_fold(normal, other);
-        }
-    return folds;
-}
-
 /* Cuts a handle or a neck where a candidate's edge is one of three around it. */
 static void cut_handle(struct collapse *c, const struct candidate *candidate)
 {
@@ -619,14 +516,16 @@ static void cut_handle(struct collapse *c, const struct candidate *candidate)
      * which is twice their area by the way around them. */
     const double area_square = bsq_dotd(normal, normal), square = area_square / (around * around);
     drift = add_drift(drift, square);
-    const double fold = cap_folds(r, cycle, normal) ? fold_cost(c, longest) : 0;
+    const double fold = vox_cap_folds(r, cycle, normal) ? fold_cost(c, longest) : 0;
     if (put_back(c, candidate,
                  c->unit * cut_weight * area_square * square + drift_cost(c, drift) + fold) ||
         !vox_cut_cycle(r, cycle, copies))
         return;
     c->removed->handles++;
-    for (int i = 0; i < 3; i++)
+    for (int i = 0; i < 3; i++) {
         c->drifts[cycle[i]] = c->drifts[copies[i]] = drift;
+        c->into[copies[i]] = copies[i];
+    }
     for (int i = 0; i < 3; i++) {
         update_vertex(c, cycle[i]);
         update_vertex(c, copies[i]);
@@ -653,10 +552,11 @@ static int collapse_next(struct collapse *c)
             cut_handle(c, &candidate);
         return dropped < 0 ? dropped : 0;
     }
-    if (makes_fold(r, u, v, result.position) &&
+    if (vox_makes_fold(r, u, v, result.position) &&
         put_back(c, &candidate, result.cost + fold_cost(c, edge_square(c, u, v))))
         return 0;
     vox_rings_join(r, u, v, result.position);
+    c->into[v] = u;
     c->drifts[u] = drift;
     update_vertex(c, u);
     return 0;
@@ -706,6 +606,19 @@ static double find_unit(const struct vox_mesh *mesh)
     return ldexp(1, -3 * exponent);
 }
 
+/* Frees what only collapses need. */
+static void free_candidates(struct collapse *c)
+{
+    bsq_free(c->rings.ctx, c->places.places);
+    bsq_free(c->rings.ctx, c->heap);
+    bsq_free(c->rings.ctx, c->around);
+    bsq_free(c->rings.ctx, c->stamps);
+    c->places.places = NULL;
+    c->heap = NULL;
+    c->around = NULL;
+    c->stamps = NULL;
+}
+
 int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh,
                  struct vox_removed *removed)
 {
@@ -724,17 +637,23 @@ int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh,
     BSQ_TRY(bsq_calloc(ctx, what, vertices, sizeof *c.stamps, &c.stamps));
     BSQ_TRY(bsq_calloc(ctx, what, vertices, sizeof *c.drifts, &c.drifts));
     BSQ_TRY(bsq_alloc(ctx, what, vertices, sizeof *c.around, &c.around));
+    BSQ_TRY(bsq_alloc(ctx, what, vertices, sizeof *c.old, &c.old));
+    BSQ_TRY(bsq_alloc(ctx, what, vertices, sizeof *c.into, &c.into));
     BSQ_TRY(bsq_alloc(ctx, what, c.heap_capacity, sizeof *c.heap, &c.heap));
-    for (uint32_t v = 0; v < vertices; v++)
+    memcpy(c.old, mesh->positions, vertices * sizeof *c.old);
+    for (uint32_t v = 0; v < vertices; v++) {
+        c.into[v] = v;
         sum_around(&c, v);
+    }
     BSQ_TRY(collapse_edges(&c));
+    free_candidates(&c);
+    BSQ_TRY(vox_fit(&c.rings, &(struct vox_fit_from){(const float(*)[3])c.old, c.into, c.drifts}));
     vox_rings_compact(&c.rings);
 done:
-    bsq_free(ctx, c.places.places);
-    bsq_free(ctx, c.heap);
-    bsq_free(ctx, c.around);
+    free_candidates(&c);
+    bsq_free(ctx, c.into);
+    bsq_free(ctx, c.old);
     bsq_free(ctx, c.drifts);
-    bsq_free(ctx, c.stamps);
     vox_rings_free(&c.rings);
     return status;
 }

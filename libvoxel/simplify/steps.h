@@ -50,7 +50,8 @@ int vox_thin(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh);
  * after is least, under the constraint that the enclosed volume stays (Lindstrom and Turk, "Fast
  * and Memory Efficient Polygonal Simplification", 1998). Of the scan, only the way is remembered
  * that the surface has gone from it; where that is long, edges collapse later. Vertices of open
- * borders move along their border only. */
+ * borders move along their border only. At last all vertices move to where they fit the mesh
+ * before the collapses best, see fit.h. */
 
 /* What the last phase took away, beside edges. */
 struct vox_removed {
@@ -60,7 +61,7 @@ struct vox_removed {
 
 /* Collapses edges of a welded mesh, cheapest first, until `target` triangles are left or no edge
  * can collapse. Small pieces and narrow handles go when that costs no more; *removed counts them.
- * Then compacts the mesh. Counts triangles as progress of the context. The result depends on the
+ * Then fits and compacts the mesh. Counts triangles as progress of the context. The result depends on the
  * mesh and the target alone. Errors: BSQ_ENOMEM, BSQ_EINTR. */
 int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh,
                  struct vox_removed *removed);

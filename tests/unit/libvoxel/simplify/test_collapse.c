@@ -133,7 +133,7 @@ TEST(tori_stay_tori)
             else
                 assert_in_range(mesh.triangle_count, 14, 60);
             if (i < 2)
-                assert_true(fabs(f.volume / volume - 1) < (thin ? 0.05 : 1e-6));
+                assert_true(fabs(f.volume / volume - 1) < (thin ? 0.05 : 0.005));
         }
         vox_mesh_free(ctx, &mesh);
     }
@@ -231,7 +231,7 @@ TEST(noise_goes)
         assert_in_range(mesh.triangle_count, targets[i] - 1, targets[i]);
         assert_in_range(count_back_to_back(&mesh), 0, 10);
         assert_int_equal(f.borders + f.crowded, 0);
-        assert_true(fabs(f.volume / volume - 1) < 0.02);
+        assert_true(fabs(f.volume / volume - 1) < 0.04);
     }
     vox_mesh_free(ctx, &mesh);
 }
