@@ -21,10 +21,11 @@ static const double fit_stride = 1.5;
 static const double fit_pull = 3e-3, border_pull = 0.3;
 /* A point that is farther away than the surface has gone has the wrong triangle, unless its squared
  * distance is below this share of its area, where drifts are rounding. */
-static const double rounding_share = 1e-4;
-/* A vertex that is this many times as far from the old mesh as points are from the new one, by
- * their root mean square, counts as much as all points around it; a nearer one far less. */
-static const double far_factor = 10;
+static const double rounding_share = 1e-6;
+/* A vertex counts as much as all points around it if its squared distance from the old mesh is this
+ * many times the mean squares of all points' distances and of those around it; a nearer one counts
+ * far less. */
+static const double far_factor = 100, far_around = 16;
 /* Most that a vertex counts more than the points around it. */
 static const double most_weight = 1e4;
 
@@ -277,7 +278,8 @@ static void move_vertex(struct fit *f, uint32_t v)
     if ((r->flags[v] & VOX_LOCKED) || !(weight > 0))
         return;
     if (advice->square > 0 && advice->square < INFINITY) {
-        const double far = far_factor * far_factor * f->squares / f->weight,
+        const double far = far_factor * f->squares / f->weight +
+                           far_around * advice->squares / weight,
                      ratio = advice->square / far;
         add_advice(advice, advice->way, -advice->square,
                    weight * fmin(ratio * ratio, most_weight) / advice->square);

@@ -13,7 +13,13 @@
 /* CLUSTER_FACTOR: a level begins with clusters if it leaves at least this many times the triangles
  * of the last level. Clusters are faster than collapsing edges, and as good that far from the
  * result. */
-enum { GROUP_TRIANGLES = 65536, LEVEL_FACTOR = 8, CLUSTER_FACTOR = 4, PAGE_BYTES = 1 << 18 };
+enum {
+    GROUP_TRIANGLES = 65536,
+    LEVEL_FACTOR = 8,
+    CLUSTER_FACTOR = 4,
+    PAGE_BYTES = 1 << 18,
+    WORK_BYTES = 160 /* of a triangle, while its group is reduced */
+};
 /* Clusters leave 1.5 times as many vertices as are wanted; collapsing edges takes away the rest. */
 static const double cluster_more = 1.5;
 
@@ -220,12 +226,24 @@ done:
     return status;
 }
 
+/* Returns how many groups are in work at most: fewer than threads could reduce if memory is small.
+ */
+static unsigned count_slots(const struct level *level)
+{
+    const unsigned wanted = 2 * bsq_threads(level->ctx);
+    uint64_t most = GROUP_TRIANGLES;
+    for (uint64_t i = 0; i < level->member_count; i++)
+        most = level->members[i].triangles > most ? level->members[i].triangles : most;
+    const uint64_t room = bsq_memory_left(level->ctx) / (most * WORK_BYTES);
+    return room < 1 ? 1 : room < wanted ? (unsigned)room : wanted;
+}
+
 /* Makes the next level in *to. */
 static int reduce_level(const struct level *from, uint64_t target, const char *beside,
                         struct level *to)
 {
     const uint64_t least = from->triangles / LEVEL_FACTOR;
-    const unsigned slot_count = 2 * bsq_threads(from->ctx);
+    const unsigned slot_count = count_slots(from);
     struct slot *slots = NULL;
     struct step step = {.from = from,
                         .to = to,
