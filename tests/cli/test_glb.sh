@@ -28,7 +28,7 @@ out_like '^a.glb: low-poly mesh with its maps$'
 is "normals of the scan, with a mirrored chart and a hard edge" check a.glb 1
 ok $bake $all --type 8 -o 'b_<MAP>.png' --glb b.glb --json
 json '.glb_path == "b.glb"'
-for map in normal:normal:0 color:color:0 ao:occlusion:1 roughness:roughness:1 metallic:metallic:1; do
+for map in normal:normal:1 color:color:0 ao:occlusion:1 roughness:roughness:1 metallic:metallic:1; do
     file=b_${map%%:*}.png texture=${map#*:}
     [ -f $file ] || file=b_transfer_${map%%:*}.png
     is "$texture is that of the map" same b.glb ${texture%:*} $file ${texture#*:}
