@@ -14,7 +14,7 @@ import types
 import bisque
 import numpy as np
 import pytest
-from conftest import PROGRAM, judge, radius_at, run_asset, write_png
+from conftest import PROGRAM, judge, radius_at, run_asset, sphere, write_png
 
 BIN, GENERATE = os.environ["BIN"], os.environ["GENERATE"]
 
@@ -265,6 +265,21 @@ def test_textures_give_colors(scan, low, tmp_path):
     # PNG files have sRGB; rows of maps have linear light.
     linear = ((51 / 255 + 0.055) / 1.055) ** 2.4
     assert np.allclose(maps["color"][maps["mask"] == 1], [1, 0, linear], atol=2e-3)
+
+
+def test_small_charts_get_texels():
+    rng = np.random.default_rng(2)
+    ball, faces = sphere(2, False)
+    places = zip(rng.uniform(0.002, 0.02, 200), rng.uniform(-2, 2, (200, 3)))
+    balls = [sphere(24, True)] + [(size * ball + place, faces) for size, place in places]
+    first = np.cumsum([0] + [len(v) for v, _ in balls])
+    mesh = bisque.Mesh(np.concatenate([v for v, _ in balls]), np.concatenate([f + n for (_, f), n in zip(balls, first)]))
+    found = bisque.unwrap(mesh, size=1024).report["uv"]
+    assert found["charts"] > 200 and found["small_charts"] <= 0.05 * found["charts"]
+    assert found["used_share"] >= 0.59 and found["degenerate_triangles"] == 0
+    plain = bisque.uv._run(mesh, "uvunwrap", 1024, 4, 60)  # what the library alone makes
+    charts = bisque.uv._charts(plain, mesh.faces)
+    assert (np.bincount(charts, abs(bisque.uv._signed_areas(plain))) * 1024 ** 2 < 16).mean() > 0.1
 
 
 def asset(*arguments, code=0):

@@ -25,6 +25,12 @@ class UnwrapError(Error):
 ADVICE = ("ask for fewer triangles, drop small pieces (min_component=0.01), or take the other "
           "library (library={other!r})")
 
+#: Charts with fewer texels are small, and get that many if more than a share of all are; neither library
+#: takes sizes of charts.
+SMALL_TEXELS, WANTED_TEXELS, MOST_SMALL = 16, 24, 0.03
+#: The library may split charts that got larger.
+MOST_RUNS = 3
+
 
 # ---- the libraries, in a process of their own that can be stopped ----
 
@@ -142,7 +148,7 @@ def _percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
 def check_uvs(low: Any, size: int = 1024, **job: Any) -> dict:
     """Measures texture coordinates with the raster that bakes use: overlapping samples, triangles
     that are flipped or without area, the used share of the texels, the 95th percentile of stretch
-    by area, the number of charts and the texels of the smallest one."""
+    by area, the number of charts, of those with under 16 texels, and the texels of the smallest one."""
     mesh = as_mesh(low)
     if mesh.uvs is None:
         raise ValueError("the mesh has no texture coordinates: unwrap() makes them")
@@ -160,6 +166,7 @@ def check_uvs(low: Any, size: int = 1024, **job: Any) -> dict:
                        as_is=True, two_sided=True, device="cpu", format="", arrays=False, **job).report
     real = areas > areas.max() * 1e-12
     return {"charts": len(texels), "smallest_chart_texels": float(texels.min()),
+            "small_charts": int((texels < SMALL_TEXELS).sum()),
             "overlapping_samples": counted["overlapping_samples"],
             "outside_triangles": counted["outside_uv_triangles"],
             "degenerate_triangles": counted["degenerate_uv_triangles"],
@@ -167,6 +174,24 @@ def check_uvs(low: Any, size: int = 1024, **job: Any) -> dict:
             "used_share": counted["covered_texels"] / size ** 2,
             "uv_share": float(np.abs(signed).sum()),
             "stretch_p95": _percentile(stretches[real], areas[real], 0.95), "size": size}
+
+
+def _enlarge_small(mesh: Mesh, uvs: np.ndarray, size: int) -> Mesh | None:
+    """Returns the mesh with a piece of its own for each chart, of which small ones are larger. None: few are small."""
+    charts = _charts(uvs, mesh.faces)
+    texels = np.bincount(charts, np.abs(_signed_areas(uvs))) * size * size
+    if (texels < SMALL_TEXELS).mean() <= MOST_SMALL:
+        return None
+    low, high = np.full((len(texels), 2), np.inf), np.full((len(texels), 2), -np.inf)
+    np.minimum.at(low, charts, uvs.min(axis=1))
+    np.maximum.at(high, charts, uvs.max(axis=1))
+    extent = (high - low).max(axis=1) * size  # which a needle of no area keeps
+    factor = np.sqrt(WANTED_TEXELS / texels.clip(1e-9)).clip(1, WANTED_TEXELS / extent.clip(1e-9)).clip(1)
+    corners, faces = np.unique(charts[:, None] * len(mesh.vertices) + mesh.faces, return_inverse=True)
+    chart, vertices = corners // len(mesh.vertices), mesh.vertices[corners % len(mesh.vertices)].astype(np.float64)
+    middle = np.stack([np.bincount(chart, vertices[:, k]) for k in range(3)], axis=1) / np.bincount(chart)[:, None]
+    vertices = middle[chart] + (vertices - middle[chart]) * factor[chart, None]
+    return Mesh(vertices, faces.reshape(-1, 3))
 
 
 def _turn_mirrored(mesh: Mesh, uvs: np.ndarray) -> tuple[np.ndarray, int]:
@@ -185,13 +210,19 @@ def unwrap(low: Any, *, size: int = 2048, padding: int = 4, library: str = "uvun
            progress: Progress | None = None) -> Mesh:
     """Gives a mesh texture coordinates in one square, with `padding` texels around each chart in maps
     of `size` texels, by "uvunwrap" or "xatlas". The mesh's report gets what check_uvs() finds, as
-    "uv". Charts that the library mirrors are put right. Raises UnwrapError, with advice, if the
+    "uv". Charts that the library mirrors are put right. If many have under 16 texels, they get more, and
+    the library runs again. Raises UnwrapError, with advice, if the
     library takes longer than `seconds`, fails, or lays charts over each other. Texels are as dense
     everywhere: neither library takes weights of faces."""
     mesh = as_mesh(low)
     if library not in LIBRARIES:
         raise ValueError(f"library: {library!r} is none of {', '.join(LIBRARIES)}")
-    uvs = _run(mesh, library, size, padding, seconds)
+    shape: Mesh | None = mesh
+    for _ in range(MOST_RUNS):
+        uvs = _run(shape, library, size, padding, seconds)
+        shape = _enlarge_small(shape, uvs, size)
+        if shape is None:
+            break
     uvs, mirrored = _turn_mirrored(mesh, uvs)
     flat, faces = np.unique(uvs.reshape(-1, 2), axis=0, return_inverse=True)
     result = Mesh(mesh.vertices, mesh.faces, flat, faces.reshape(-1, 3), mesh.normals,
