@@ -1,7 +1,10 @@
 /* arrays.c - gives arrays of a Python process as the bytes of a binary PLY file, piece by piece, so
- * that a scan in memory needs no copy and no file. Part of the extension, see ffi_build.py. */
+ * that a scan in memory needs no copy and no file; and looks up points of an image. Part of the
+ * extension, see ffi_build.py. */
 #include <stdint.h>
 #include <string.h>
+
+#include "formats/texture/texture.h"
 
 /* The rows of an array follow each other at `step` bytes. */
 struct rows {
@@ -101,4 +104,19 @@ static int arrays_read(void *user, void *to, uint64_t count, uint64_t offset)
     if (count > 0)
         give(a, put_face, a->face_count, FACE_BYTES, at, count, offset - vertices);
     return 0;
+}
+
+/* Filters an image bilinearly at `count` points, from its lower left corner; beyond its border,
+ * texels at the border count. cache_bytes, data, errors: as in formats/texture/texture.h. */
+static int arrays_sample(struct bsq_ctx *ctx, const char *path, bool data, uint64_t cache_bytes,
+                         uint64_t count, const float (*uv)[2], float (*out)[3])
+{
+    static const uint8_t clamp[2] = {FMT_WRAP_CLAMP, FMT_WRAP_CLAMP};
+    const struct fmt_texture_source source = {.path = path, .data = data, .srgb = !data};
+    struct fmt_textures *textures = NULL;
+    int status = fmt_textures_open(ctx, &source, 1, cache_bytes, &textures);
+    for (uint64_t i = 0; status == 0 && i < count; i++)
+        status = fmt_texture_sample(textures, 0, clamp, uv[i][0], uv[i][1], 0, 0, out[i]);
+    fmt_textures_close(textures);
+    return status;
 }

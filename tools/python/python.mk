@@ -57,3 +57,10 @@ demo-asset: $(venv)/installed $(generator)
 	$(generator) --triangles 2000000 --colors vase -o $(demo_dir)/vase.obj
 	$(venv)/bin/bisque-asset $(demo_dir)/vase.obj -o $(demo_dir)/vase.glb
 	@echo "Open $(demo_dir)/vase.glb; its picture: $(demo_dir)/vase_asset/preview.png"
+
+.PHONY: bench-asset
+## bench-asset: compare bisque-asset with Blender, CGAL, xatlas and Cycles; BPY=PYTHON with bpy, embreex, trimesh, xatlas and pillow; SCANS='a.obj b.obj:b.png' (default: generated)
+bench-asset: $(venv)/installed $(generator) $(BUILD)/simplify_cgal
+	@[ '$(SCANS)' ] || $(generator) --triangles 200000 vase -o $(BUILD)/bench-asset.obj >/dev/null
+	@CGAL=$$(ls $(CURDIR)/$(BUILD)/simplify_cgal 2>/dev/null) $(BPY) tests/bench/asset.py $(venv)/bin/bisque-asset \
+	    $(or $(TRIANGLES),5000) $(or $(TEXELS),1024) $(or $(SCANS),$(BUILD)/bench-asset.obj)

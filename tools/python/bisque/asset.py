@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from . import core, programs, uv
+from . import core, programs, seen, uv
 from .core import Error
 from .mesh import Mesh, as_mesh, is_path, read_mesh
 from .steps import FAILED_IO, Folder, Steps, sha256
@@ -37,8 +37,6 @@ PRESETS: dict[str, dict] = {
 
 #: A grid with more voxels along a side takes more time than exact rays do.
 MOST_RESOLUTION = 8192
-#: Sides of the maps that are compared with exact ones.
-SAMPLE_SIZE = 256
 
 
 def _digest(mesh: Mesh) -> str:
@@ -117,21 +115,6 @@ def _low_of(steps: Steps, scan: str, given: Any, level: dict, job: dict) -> Mesh
     return mesh
 
 
-def _measure_error(grid: str, chunks: str, low: str, job: dict, folder: Path) -> dict:
-    """Compares the normals of a grid with exact ones, at points all over the mesh."""
-    with_mask = ("normal", "mask")
-    names = [str(folder / f"{kind}_<MAP>.exr") for kind in ("grid", "exact")]
-    for scan, name in ((grid, names[0]), (chunks, names[1])):
-        with core.quiet():  # the bake has warned
-            core.bake(scan, low, with_mask, size=SAMPLE_SIZE, samples=1, padding=0, output=name,
-                      arrays=False, **job)
-    normal, mask = ([name.replace("<MAP>", kind) for name in names] for kind in with_mask)
-    found = core.compare(*normal, mask=mask[1], kind="normal")
-    for name in normal + mask:
-        os.unlink(name)
-    return {key: found[key] for key in ("unit", "compared", "mean", "median", "p95", "p99", "max")}
-
-
 def _bake(steps: Steps, scan: str, obj: Path, files: dict, options: dict, job: dict) -> dict:
     """Bakes by the program of this package, which also writes the page. files: by the names of their
     options. Returns the program's report."""
@@ -193,14 +176,13 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
         return baked
 
     report = steps.run("bake" + suffix, [scan, obj], options, [mtl, *files.values(), *images.values()], make)
-    exact = {"unit": "degrees", "mean": 0.0, "max": 0.0, "exact": True}
-    error = exact if surface["exact"] else steps.run(
-        "check" + suffix, [scan, chunks, obj], {"size": SAMPLE_SIZE}, [],
-        lambda: _measure_error(scan, chunks, str(obj), job, steps.folder))
     if "from_scan" not in low.report:
         bare = Mesh(low.vertices, low.faces)
         low.report.update(steps.run("check distance" + suffix, [chunks, obj], {}, [],
                                     lambda: core.measure(bare, chunks, **job)))
+    reach = low.report["from_scan"]["max"]
+    errors = steps.run("check" + suffix, [chunks, files["glb"]], {"reach": reach}, [],
+                       lambda: seen.compare_views(files["glb"], chunks, reach, progress=steps.report, **job))
     made = {level["glb"]: files["glb"]}
     made.update({level["made"] / path.name: path for path in (obj, mtl, files["preview"], *images.values())})
     if level["report"]:
@@ -210,7 +192,7 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
     return {"name": level["name"], "triangles": len(low.faces), "size": size,
             "surface": {**surface, "method": "exact" if surface["exact"] else "grid"},
             "distance": {key: low.report[key] for key in ("from_scan", "from_mesh")},
-            "uv": low.report["uv"], "normal_error": error,
+            "uv": low.report["uv"], **errors,
             "rays": {key: report[key] for key in ("samples", "hits", "misses", "front", "back")},
             "memory_high": report["cost"]["memory_high_bytes"],
             "warnings": steps.warnings_of(level["name"]), "files": made}

@@ -104,8 +104,8 @@ def _print(a: argparse.Namespace, certificate: dict) -> None:
     """Prints what was made. Raises OSError."""
     lines = [json.dumps(certificate, default=float)] if a.json else [
         f"{_printable(a.output)}: {level['triangles']} triangles, {level['size']} x {level['size']} texels, "
-        f"{level['surface']['method']}; farthest from the scan {level['distance']['from_scan']['max']:.4g}; "
-        f"normals off by {level['normal_error']['mean']:.3g} degrees on average"
+        f"{level['surface']['method']}; farthest from the scan {level['distance']['from_scan']['max']:.4g}" +
+        (f"; normals off by {level['normal_error']['mean']:.3g} degrees on average" if "normal_error" in level else "")
         for level in certificate["levels"]]
     if not sys.stdout:
         raise OSError(errno.EBADF, os.strerror(errno.EBADF), "standard output")

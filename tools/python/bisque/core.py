@@ -585,15 +585,29 @@ def compare(a: str | os.PathLike, b: str | os.PathLike, *, mask: Any = None, kin
             heatmap: Any = None, force: bool = False, memory: int | str | None = None, threads: int = 0,
             progress: Progress | None = None) -> dict:
     """Compares two map files: mean, rms, median, p95, p99 and max of the error, in `unit`; kind:
-    "normal", "color" or "data". heatmap: a picture to write. Raises Error."""
+    "normal", "color" or "data". mask: of both, or a list of two. heatmap: a picture to write. Raises
+    Error."""
     with Job(memory, threads, None, progress) as job:
         options = ffi.new("struct bake_compare_options *")
         lib.bake_compare_defaults(options)
         options.a_path, options.b_path = job.string(a), job.string(b)
-        options.a_mask_path = options.b_mask_path = job.string(mask)
+        masks = [mask, mask] if mask is None or is_path(mask) else mask
+        options.a_mask_path, options.b_mask_path = map(job.string, masks)
         options.kind = _word("kind", kind, ("auto", "normal", "color", "data"))
         options.heatmap_path = job.string(heatmap)
         options.force = force
         report = _new_report("struct bake_compare_report")
         job.run(lib.bake_compare, options, report)
         return {**_plain(report), "unit": _text(lib.bake_compare_unit(report.kind))}
+
+
+def sample_image(path: str | os.PathLike, uvs: np.ndarray, *, data: bool, memory: int | str | None = None,
+                 threads: int = 0) -> np.ndarray:
+    """Filters an image bilinearly at texture coordinates: data as they are, colours in linear light, of
+    one that is sRGB. Returns float32 (points, 3). Raises Error."""
+    with Job(memory, threads) as job:
+        uvs = np.ascontiguousarray(uvs, np.float32)
+        found = np.empty((len(uvs), 3), np.float32)
+        job.run(lib.arrays_sample, job.string(path), data, 64 << 20, len(uvs),
+                ffi.cast("float (*)[2]", uvs.ctypes.data), ffi.cast("float (*)[3]", found.ctypes.data))
+        return found

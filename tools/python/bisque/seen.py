@@ -1,0 +1,210 @@
+"""What a viewer shows of an asset, beside the scan: pictures from all around, compared with each other.
+
+The scan is seen through the texels of an atlas of squares, which face it from all sides: a bake. The
+GLB file is drawn here as glTF 2.0 says: triangles that face the viewer, normals and MikkTSpace tangents that are
+interpolated, and images of 8 bits, filtered bilinearly."""
+from __future__ import annotations
+
+import json
+import os
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import core
+from .mesh import Error, Mesh
+
+#: Views in the columns and rows of the atlas, and the pixels of a side of each.
+COLUMNS, ROWS, SIDE = 5, 4, 104
+#: Most pixels that triangles may cover at a time.
+PIXELS = 1 << 21
+
+
+def _views() -> np.ndarray:
+    """Returns axes (views, 3, 3) to the right, upwards and to the viewer, even on the sphere (Fibonacci's)."""
+    i = np.arange(COLUMNS * ROWS) + 0.5
+    z, around = 1 - 2 * i / len(i), i * np.pi * (1 + 5 ** 0.5)
+    r = np.sqrt(1 - z * z)
+    toward = np.stack([r * np.cos(around), r * np.sin(around), z], axis=1)
+    right = np.stack([-np.sin(around), np.cos(around), 0 * z], axis=1)
+    return np.stack([right, np.cross(toward, right), toward], axis=1)
+
+
+def _atlas(axes: np.ndarray, centre: np.ndarray, half: float, distance: float) -> Mesh:
+    """Returns squares, one for each view, at a distance from the centre. They are so small that textures of the
+    scan are not averaged; their normals spread over a ball of radius `half`, and the rays go against them."""
+    sides = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    across = sides @ axes[:, :2]
+    corners = 1e-4 * half * across + distance * axes[:, 2:] + centre
+    normals = axes[:, 2:] - across * _slope(half, distance)
+    cell = np.stack(np.meshgrid(np.arange(COLUMNS), np.arange(ROWS), indexing="ij"), axis=2).reshape(-1, 1, 2)
+    # Views go down the columns; v points upwards.
+    uvs = (cell * [1, -1] + [0, ROWS - 1] + (sides + 1) / 2) / [COLUMNS, ROWS]
+    faces = (np.arange(len(axes))[:, None] * 4 + [0, 1, 2, 0, 2, 3]).reshape(-1, 3)
+    return Mesh(corners.reshape(-1, 3), faces, uvs.reshape(-1, 2), faces, normals.reshape(-1, 3), faces)
+
+
+def _slope(half: float, distance: float) -> float:
+    """Returns the tangent of half the angle in which a ball is seen."""
+    return half / (distance * distance - half * half) ** 0.5
+
+
+def _project(p: np.ndarray, axes: np.ndarray, half: float, distance: float) -> np.ndarray:
+    """Returns points in pixels from the upper left, and the reciprocals of their depths. p: from the centre."""
+    p = p @ axes.T
+    near = 1 / (distance - p[..., 2:])
+    return np.concatenate([(p[..., :2] * near * [1, -1] / _slope(half, distance) + 1) * (SIDE / 2), near], axis=-1)
+
+
+def _picture(views: np.ndarray) -> np.ndarray:
+    """Puts pixels (views, SIDE * SIDE, channels) into the atlas."""
+    cells = views.reshape(COLUMNS, ROWS, SIDE, SIDE, -1)
+    return cells.transpose(1, 2, 0, 3, 4).reshape(ROWS * SIDE, COLUMNS * SIDE, -1)
+
+
+def _write_png(path: str, values: np.ndarray) -> None:
+    """Writes RGB of 0 to 1 with 16 bits."""
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    rows = np.round(values.clip(0, 1) * 65535).astype(">u2")
+    head = struct.pack(">IIBBBBB", values.shape[1], values.shape[0], 16, 2, 0, 0, 0)
+    body = zlib.compress(b"".join(b"\0" + row.tobytes() for row in rows), 1)
+    Path(path).write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", body) + chunk(b"IEND", b""))
+
+
+def read_glb(path: Path, folder: Path) -> dict:
+    """Reads the mesh of a GLB file as bake() writes it: p, n, t and uv of the corners of each triangle, and the
+    files of its images, normal and color, which are written to the folder, or None."""
+    with open(path, "rb") as file:
+        file.seek(12)
+        length, = struct.unpack("<I", file.read(8)[:4])
+        head, start = json.loads(file.read(length)), 28 + length
+
+        def view(number: int) -> bytes:
+            where = head["bufferViews"][number]
+            file.seek(start + where.get("byteOffset", 0))
+            return file.read(where["byteLength"])
+
+        def image(name: str, material: dict) -> str | None:
+            if name not in material:
+                return None
+            source = head["images"][head["textures"][material[name]["index"]]["source"]]
+            where, found = head["bufferViews"][source["bufferView"]], f"{folder}/{name}.png"
+            at, end = (start + where["byteOffset"] + more for more in (0, where["byteLength"]))
+            with open(found, "wb") as out:
+                while at < end:
+                    at += os.sendfile(out.fileno(), file.fileno(), at, end - at)
+            return found
+
+        primitive, = head["meshes"][0]["primitives"]
+        attributes = {name: head["accessors"][number] for name, number in primitive["attributes"].items()}
+        index = head["accessors"][primitive["indices"]]
+        faces = np.frombuffer(view(index["bufferView"]), "<u4").reshape(-1, 3)
+        rows = np.frombuffer(view(attributes["POSITION"]["bufferView"]), "<f4").reshape(
+            attributes["POSITION"]["count"], -1)
+        corners = [rows[faces, attributes[name]["byteOffset"] // 4:][:, :, :count].astype(np.float64)
+                   for name, count in (("POSITION", 3), ("NORMAL", 3), ("TANGENT", 4), ("TEXCOORD_0", 2))]
+        material = head["materials"][primitive.get("material", 0)]
+        corners[0] += head["nodes"][0]["translation"]
+        return {**dict(zip(("p", "n", "t", "uv"), corners)), "normal": image("normalTexture", material),
+                "color": image("baseColorTexture", material["pbrMetallicRoughness"])}
+
+
+def _draw(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Draws triangles, whose corners _project() gave. Returns the triangle of each pixel, -1 for none, and the
+    weights of its corners on the triangle."""
+    e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    area = e1[:, 1] * e2[:, 0] - e1[:, 0] * e2[:, 1]  # y points downwards
+    front = np.flatnonzero(area > 0)
+    low = np.ceil(p[front, :, :2].min(axis=1) - 0.5).clip(0, SIDE).astype(int)
+    size = np.floor(p[front, :, :2].max(axis=1) + 0.5).clip(0, SIDE).astype(int) - low
+    counts = size.clip(0).prod(axis=1)
+    ends = np.cumsum(counts)
+    shown, weights = np.full(SIDE * SIDE, -1), np.zeros((SIDE * SIDE, 3))
+    nearest = np.zeros(SIDE * SIDE)
+    first = 0
+    while first < len(front):
+        begin = ends[first] - counts[first]
+        last = max(first + 1, int(np.searchsorted(ends, begin + PIXELS, "right")))
+        which = np.repeat(np.arange(first, last), counts[first:last])
+        k = np.arange(begin, ends[last - 1]) - (ends - counts)[which]
+        at = low[which] + np.stack([k % size[which, 0], k // size[which, 0]], axis=1)
+        t = front[which]
+        d = at + 0.5 - p[t, 0, :2]
+        w1 = (d[:, 1] * e2[t, 0] - d[:, 0] * e2[t, 1]) / area[t]
+        w2 = (e1[t, 1] * d[:, 0] - e1[t, 0] * d[:, 1]) / area[t]
+        w = np.stack([1 - w1 - w2, w1, w2], axis=1)
+        w *= p[t, :, 2]
+        near, pixel = w.sum(axis=1), at[:, 1] * SIDE + at[:, 0]
+        order = np.flatnonzero((w >= 0).all(axis=1) & (near > nearest[pixel]))
+        order = order[np.argsort(near[order], kind="stable")]  # of equal pixels, the last one stays
+        pixel = pixel[order]
+        nearest[pixel], shown[pixel], weights[pixel] = near[order], t[order], w[order] / near[order, None]
+        first = last
+    return shown, weights
+
+
+def _shade(glb: dict, t: np.ndarray, w: np.ndarray, job: dict) -> dict:
+    """Returns what a glTF viewer has at points of triangles: their unit normals, and their colours in sRGB."""
+    n, tangent, uv = ((glb[key][t] * w[:, :, None]).sum(axis=1) for key in ("n", "t", "uv"))
+    uv[:, 1] = 1 - uv[:, 1]
+    if glb["normal"]:
+        m = 2 * core.sample_image(glb["normal"], uv, data=True, **job) - 1
+        across = glb["t"][t, 0, 3:] * np.cross(n, tangent[:, :3])
+        n = m[:, :1] * tangent[:, :3] + m[:, 1:2] * across + m[:, 2:] * n
+    found = {"normal": n / np.linalg.norm(n, axis=1, keepdims=True).clip(1e-30) / 2 + 0.5}
+    if glb["color"]:
+        c = core.sample_image(glb["color"], uv, data=False, **job)
+        found["color"] = np.where(c <= 0.0031308, 12.92 * c, 1.055 * c.clip(0) ** (1 / 2.4) - 0.055)
+    return found
+
+
+def compare_views(path: Path, chunks: str, reach: float, *, progress: core.Progress | None = None,
+                  **job: Any) -> dict:
+    """Compares a GLB file, as a viewer shows it, with its scan, as its triangles are, in views from all
+    around. reach: the most that the scan is away from the mesh. Returns `normal_error` in degrees and, if there are
+    colours, `color_error` (CIEDE2000), over the pixels that show both, and the share of those among all that show
+    one, `silhouette`. Temporary files are beside the GLB file."""
+    folder = path.parent / "views"
+    folder.mkdir(exist_ok=True)
+    try:
+        return _compare_views(path, chunks, reach, folder, progress, job)
+    except Error as error:
+        if error.message.startswith(("no ray hit", "no texel is covered")):
+            return {"silhouette": 0.0}  # no pixel shows both, as of a thread
+        raise
+    finally:
+        core._remove(str(folder))
+
+
+def _compare_views(path: Path, chunks: str, reach: float, folder: Path, progress: core.Progress | None,
+                   job: dict) -> dict:
+    with core.quiet():  # the bake has warned
+        glb = read_glb(path, folder)
+        corners = glb["p"].reshape(-1, 3)
+        centre = (corners.min(axis=0) + corners.max(axis=0)) / 2
+        half = float(np.linalg.norm(corners - centre, axis=1).max())
+        distance, axes = max(3 * half, 1.01 * half + reach), _views()
+        names = ["normal", "mask", *(["color"] if glb["color"] else [])]
+        core.bake(chunks, _atlas(axes, centre, half, distance), names, size=(COLUMNS * SIDE, ROWS * SIDE), samples=1,
+                  padding=0, front=0, back=2 * distance, normal_space="object", sample_type="float", as_is=True,
+                  output=f"{folder}/scan_<MAP>.exr", arrays=False, progress=progress, **job)
+        drawn = [_draw(_project(glb["p"] - centre, view, half, distance)) for view in axes]
+        shown, weights = (np.concatenate(part) for part in zip(*drawn))
+        seen = np.flatnonzero(shown >= 0)
+        values = _shade(glb, shown[seen], weights[seen], job)
+        values["mask"] = np.ones((len(seen), 3))
+        for name in names:
+            pixels = np.zeros((len(shown), 3))
+            pixels[seen] = values[name]
+            _write_png(f"{folder}/asset_{name}.png", _picture(pixels))
+        found = {name: core.compare(f"{folder}/asset_{name}.png", f"{folder}/scan_{name}.exr", kind=name, force=True,
+                                    mask=[f"{folder}/{of}" for of in ("asset_mask.png", "scan_mask.exr")], **job)
+                 for name in names if name != "mask"}
+        keys = ("unit", "compared", "mean", "median", "p95", "p99", "max")
+        return {"silhouette": found["normal"]["agreement"],
+                **{f"{name}_error": {key: of[key] for key in keys} for name, of in found.items()}}
