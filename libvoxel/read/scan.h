@@ -55,9 +55,10 @@ struct scan_file {
     bool has_material_colors; /* faces use a material with a colour, but without a texture; set by
                                  vox_scan_find_materials() */
     enum scan_paint paint;    /* late colours */
-    /* Of vertex colours in batches that do not say their scale: the largest component, and the
-     * vertices with one out of 0 to 1, out of 0 to 255. */
+    /* Of vertex colours in batches that do not say their scale: the largest component, whether one
+     * is no whole number, and the vertices with one out of 0 to 1, out of 0 to 255. */
     float largest_color;
+    bool broken_colors;
     uint64_t clamped_colors[2];
 };
 

@@ -188,10 +188,13 @@ static uint32_t pack_color(struct scan *scan, const float color[3], float scale)
     return packed;
 }
 
-/* OBJ files, and PLY files with real numbers, do not say whether colours range to 1 or to 255: to
- * 255 if any of the file is larger than this, and not a bright spot. So the result depends neither
- * on their order nor on how a file is packed. */
-#define COLOR_BRIGHT 16.0f
+/* Returns whether colours of a file that does not say it, an OBJ file or a PLY file with real
+ * numbers, range to 255, and not to 1: if one is larger than a bright spot, or if all are whole and
+ * one is above 1. So the result depends neither on their order nor on how a file is packed. */
+static bool are_bytes(const struct scan_file *file)
+{
+    return file->largest_color > (file->broken_colors ? 16.0f : 1.0f);
+}
 
 /* Packs a colour that may be from 0 to 1 or from 0 to 255 in 9 bits a component: a value up to 1 as
  * its byte of the first scale, a larger one as that of the second, plus 256. The upper byte tells
@@ -207,6 +210,7 @@ static uint32_t pack_unscaled(struct scan_file *file, const float color[3])
         const float value = color[i] > 0.0f ? color[i] : 0.0f;
         largest = value > largest ? value : largest;
         const float byte = value < 255.0f ? value : 255.0f;
+        file->broken_colors = file->broken_colors || byte != (float)(uint32_t)byte;
         out_of_1 |= color[i] < 0.0f || value > 1.0f;
         out_of_255 |= color[i] < 0.0f || value > 255.0f;
         packed |= (value > 1.0f ? 256 + (uint32_t)(byte + 0.5f) : (uint32_t)(value * 255.0f + 0.5f))
@@ -256,7 +260,7 @@ void vox_scan_scale_colors(const struct scan *scan, uint64_t first, uint64_t cou
             continue;
         while (first + i >= scan->files[file].ends[FMT_MESH_VERTEX])
             file++;
-        const bool bytes = scan->files[file].largest_color > COLOR_BRIGHT;
+        const bool bytes = are_bytes(&scan->files[file]);
         if (fine)
             fine[i] = scale_fine_color(colors[i], bytes, fine[i]);
         colors[i] = scale_color(colors[i], bytes);
@@ -527,8 +531,7 @@ int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
     enter_file(scan, scan->path_count - 1); /* the last files may be empty */
     scan->has_colors |= late_colors_fit(scan);
     for (uint64_t i = 0; i < scan->file_count; i++)
-        scan->clamped_colors +=
-            scan->files[i].clamped_colors[scan->files[i].largest_color > COLOR_BRIGHT];
+        scan->clamped_colors += scan->files[i].clamped_colors[are_bytes(&scan->files[i])];
     if (scan->clamped_colors > 0)
         BSQ_PASS(bsq_warn_loss(scan->ctx, "%s: colours out of range were clamped at %llu %s",
                                scan->paths[0], (unsigned long long)scan->clamped_colors,

@@ -40,9 +40,10 @@ for white in 1 255; do
     ok run bisque-voxelize --voxel-size 0.5 --no-tris white.$white.obj -o white.$white.nvdb
 done
 same white.1.nvdb white.255.nvdb
-# 16 is still a bright spot of colours to 1, and anything above shows that they range to 255.
+# 16 is still a bright spot of colours to 1 if one has a fraction; anything above, or whole numbers alone, show that they
+# range to 255.
 for most in 16 16.5; do
-    printf 'v 0 0 0 0 0 0\nv 1 0 0 %s 1 0\nv 0 1 0 1 1 1\nf 1 2 3\n' $most >most.$most.obj
+    printf 'v 0 0 0 0 0 0\nv 1 0 0 %s 1 0\nv 0 1 0 1 1 1\nv 9 9 9 0.5 0 0\nf 1 2 3\n' $most >most.$most.obj
     ok $vox most.$most.obj -o most.nvdb
     mv most.nvdb most.$most.nvdb
 done
@@ -51,6 +52,14 @@ printf 'v 0 0 0 0 0 0\nv 1 0 0 17 1 0\nv 0 1 0 1 1 1\nf 1 2 3\n' >byte.obj
 ok $vox unit.obj -o unit.nvdb
 ok $vox byte.obj -o byte.nvdb
 same unit.nvdb most.16.nvdb
+printf 'v 0 0 0 0 3 16\nv 1 0 0 1 2 15\nv 0 1 0 2 1 14\nf 1 2 3\n' >dark.obj
+printf 'ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red
+property uchar green\nproperty uchar blue\nelement face 1\nproperty list uchar int vertex_indices\nend_header
+0 0 0 0 3 16\n1 0 0 1 2 15\n0 1 0 2 1 14\n3 0 1 2\n' >dark.ply
+ok $vox dark.obj -o dark.nvdb
+holds "no warning of dark bytes" [ ! -s "$err" ]
+ok $vox dark.ply -o dark_bytes.nvdb
+same dark_bytes.nvdb dark.nvdb
 same byte.nvdb most.16.5.nvdb
 
 # Each file has the scale of its own colours, in any order. Faces lie apart, so that the grids of all
