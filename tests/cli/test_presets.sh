@@ -110,6 +110,10 @@ ok run bisque-bake scan.nvdb low.obj --size 32 --maps ao --samples 1 --rays ao=4
 ok run bisque-compare draft.exr same.exr --max-error 0
 ok run bisque-bake scan.nvdb low.obj --size 32 --maps ao --quality draft --samples 3 -o draft.exr --json
 json '.samples_per_axis == 3'
+# Only a draft is filtered.
+ok run bisque-bake scan.nvdb low.obj --size 32 --maps ao --quality final --rays ao=16 -o final.exr
+ok run bisque-bake scan.nvdb low.obj --size 32 --maps ao --samples 4 --rays ao=16,filter=none -o same.exr
+ok run bisque-compare final.exr same.exr --max-error 0
 
 # ---- what is said of long bakes ----
 
