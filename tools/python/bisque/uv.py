@@ -185,8 +185,9 @@ def _enlarge_small(mesh: Mesh, uvs: np.ndarray, size: int) -> Mesh | None:
     low, high = np.full((len(texels), 2), np.inf), np.full((len(texels), 2), -np.inf)
     np.minimum.at(low, charts, uvs.min(axis=1))
     np.maximum.at(high, charts, uvs.max(axis=1))
-    extent = (high - low).max(axis=1) * size  # which a needle of no area keeps
-    factor = np.sqrt(WANTED_TEXELS / texels.clip(1e-9)).clip(1, WANTED_TEXELS / extent.clip(1e-9)).clip(1)
+    # A needle of no area would grow without end.
+    most = 1 / (8 * (high - low).max(axis=1).clip(1e-9))
+    factor = np.sqrt(WANTED_TEXELS / texels.clip(1e-9)).clip(1, most.clip(1))
     corners, faces = np.unique(charts[:, None] * len(mesh.vertices) + mesh.faces, return_inverse=True)
     chart, vertices = corners // len(mesh.vertices), mesh.vertices[corners % len(mesh.vertices)].astype(np.float64)
     middle = np.stack([np.bincount(chart, vertices[:, k]) for k in range(3)], axis=1) / np.bincount(chart)[:, None]
