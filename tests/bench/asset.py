@@ -284,7 +284,9 @@ def bake_cycles(scan, v, f, size, folder):
     high.data.normals_split_custom_set_from_vertices(scan["n"].tolist())
     if "image" in scan:
         high.data.uv_layers.new(name="uv").data.foreach_set("uv", scan["uv"].ravel().astype(np.float32))
-        material_of(bpy, high, image=bpy.data.images.load(scan["image"]))
+        image = bpy.data.images.load(scan["image"])
+        image.alpha_mode = "NONE"
+        material_of(bpy, high, image=image)
     else:
         colors = high.data.color_attributes.new("c", "BYTE_COLOR", "POINT")
         rgba = np.hstack([scan["color"] / 255, np.ones((len(scan["v"]), 1))])
