@@ -260,8 +260,8 @@ struct vox_distances {
     double mean;     /**< Mean by area. */
     double rms;      /**< Root of the mean square by area. */
     double p99;      /**< Hundredth part of the area is farther, to 5 %. */
-    double max;      /**< The largest distance. */
-    double where[3]; /**< Position of the largest one. */
+    double max;      /**< No point is farther, see bisque-simplify(1). */
+    double where[3]; /**< A point that is as far, to 1 %. */
 };
 
 /** A mesh that vox_simplify() wrote. */
@@ -269,8 +269,8 @@ struct vox_simplified {
     uint64_t target;                /**< Triangles that were asked for; 0: an error. */
     uint64_t triangles;             /**< Triangles that it has. */
     uint64_t vertices;              /**< Positions that it has. */
-    struct vox_distances from_scan; /**< From each vertex of the scan to the mesh. */
-    struct vox_distances from_mesh; /**< From points spread over the mesh to the scan. */
+    struct vox_distances from_scan; /**< From all of the scan to the mesh. */
+    struct vox_distances from_mesh; /**< From all of the mesh to the scan. */
 };
 
 /** Most meshes of one vox_simplify(). */
@@ -325,8 +325,8 @@ int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options
 
 /** Measures how far any mesh is from a scan, as vox_simplify() measures its own. The mesh is held
  * in memory. scan: NULL, or the chunk file to read instead of scan_path. mesh: of vox_sort().
- * from_scan receives the distances of the scan's vertices from the mesh, from_mesh those of points
- * on the mesh from the scan. Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_ENOMEM, BSQ_EIO, BSQ_EINTR. */
+ * from_scan receives the distances of the scan from the mesh, from_mesh those of the mesh from the
+ * scan. Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_ENOMEM, BSQ_EIO, BSQ_EINTR. */
 int vox_measure_mesh(struct bsq_ctx *ctx, const char *scan_path, const struct vox_temp_tris *scan,
                      const struct vox_temp_tris *mesh, struct vox_distances *from_scan,
                      struct vox_distances *from_mesh);

@@ -5,13 +5,10 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/geometry/vec.h"
+#include "libvoxel/simplify/distance_lanes.h"
 
 /* The depth is that of halving 2^32 triangles into leaves. */
 enum { LEAF_TRIANGLES = 4, DEPTH_MAX = 32 };
-/* A triangle is a needle if its height above its longest side is at most a thousandth of that side.
- * This is the square of that ratio. */
-static const double needle_area = 1e-6;
 
 struct vox_closest_node {
     float low[3], high[3];
@@ -103,7 +100,8 @@ int vox_closest_build(struct bsq_ctx *ctx, const float (*positions)[3],
 {
     struct build b = {.tree = out};
     int status = 0;
-    *out = (struct vox_closest){.positions = positions, .triangles = triangles};
+    *out = (struct vox_closest){
+        .positions = positions, .triangles = triangles, .level = bsq_simd_best()};
     /* Leaves have at least half of LEAF_TRIANGLES. */
     BSQ_TRY(
         bsq_alloc(ctx, "a tree of triangles", triangle_count + 1, sizeof *out->nodes, &out->nodes));
@@ -135,122 +133,18 @@ void vox_closest_free(struct bsq_ctx *ctx, struct vox_closest *tree)
     *tree = (struct vox_closest){0};
 }
 
-/* Points that are looked for together, and a box around them. */
-struct batch {
-    unsigned count;
-    double points[3][VOX_CLOSEST_BATCH];
-    double *squares;
-    double most; /* the largest of squares */
-    float low[3], high[3];
-};
-
-static void find_most(struct batch *b)
+static void find_most(struct vox_batch *b)
 {
     b->most = 0;
     for (unsigned i = 0; i < b->count; i++)
         b->most = b->squares[i] > b->most ? b->squares[i] : b->most;
 }
 
-/* What the distance of a point from a triangle is made of. */
-struct plane {
-    double corners[3][3], edges[3][3], outwards[3][3], normal[3];
-    double squares[3], area;               /* of edges, and of the normal */
-    double inverse_edges[3], inverse_area; /* of these; 0 for 0 */
-    double safe; /* factor of bounds, for rounding; 0: a needle, whose normal is not exact */
-};
-
-/* Sets all but the inverses. */
-static void set_plane(const float *const corners[3], struct plane *out)
+/* Does what vox_try_triangle() does, for one point. Divides only if the point may be closer. */
+double vox_triangle_square_at(const float *const corners[3], const double p[3], double most)
 {
-    double longest = 0;
-    for (int i = 0; i < 3; i++)
-        for (int k = 0; k < 3; k++) {
-            out->corners[i][k] = (double)corners[i][k];
-            out->edges[i][k] = (double)corners[(i + 1) % 3][k] - (double)corners[i][k];
-        }
-    bsq_crossd(out->edges[0], out->edges[1], out->normal);
-    out->area = bsq_dotd(out->normal, out->normal);
-    for (int i = 0; i < 3; i++) {
-        out->squares[i] = bsq_dotd(out->edges[i], out->edges[i]);
-        bsq_crossd(out->edges[i], out->normal, out->outwards[i]);
-        longest = out->squares[i] > longest ? out->squares[i] : longest;
-    }
-    out->safe = out->area > needle_area * longest * longest ? 1 - 1e-9 : 0;
-}
-
-static void set_inverses(struct plane *plane)
-{
-    plane->inverse_area = plane->area > 0 ? 1 / plane->area : 0;
-    for (int i = 0; i < 3; i++)
-        plane->inverse_edges[i] = plane->squares[i] > 0 ? 1 / plane->squares[i] : 0;
-}
-
-/* Returns the squared distance of a point from the edges of a triangle. */
-static double edge_square(const struct plane *plane, double px, double py, double pz)
-{
-    double least = INFINITY;
-    for (int k = 0; k < 3; k++) {
-        const double *c = plane->corners[k], *e = plane->edges[k];
-        const double x = px - c[0], y = py - c[1], z = pz - c[2];
-        double along = (x * e[0] + y * e[1] + z * e[2]) * plane->inverse_edges[k];
-        along = along > 0 ? along : 0;
-        along = along < 1 ? along : 1;
-        const double dx = x - along * e[0], dy = y - along * e[1], dz = z - along * e[2];
-        const double square = dx * dx + dy * dy + dz * dz;
-        least = square < least ? square : least;
-    }
-    return least;
-}
-
-/* The distance is that from the plane, for points above the inside, or that from an edge. The way
- * beyond an edge's line and the height above the plane bound the latter, so edges are looked at for
- * few points. The first loop has no branches, so that points are computed side by side. */
-static void try_triangle(const float *const corners[3], struct batch *b)
-{
-    double bounds[VOX_CLOSEST_BATCH], inverse_outwards[3], least_gain = 0;
-    struct plane plane;
-    set_plane(corners, &plane);
-    set_inverses(&plane);
-    for (int k = 0; k < 3; k++)
-        inverse_outwards[k] = plane.inverse_edges[k] * plane.inverse_area;
-    const double flat = plane.area > 0 ? -1 : 1;
-    for (unsigned i = 0; i < b->count; i++) {
-        double outside = flat, height = 0, way = 0;
-        for (int k = 0; k < 3; k++) {
-            const double *c = plane.corners[k], *out = plane.outwards[k];
-            const double x = b->points[0][i] - c[0], y = b->points[1][i] - c[1],
-                         z = b->points[2][i] - c[2];
-            const double beyond = x * out[0] + y * out[1] + z * out[2];
-            const double square = beyond > 0 ? beyond * beyond * inverse_outwards[k] : 0;
-            way = square > way ? square : way;
-            outside = beyond > outside ? beyond : outside;
-            height = x * plane.normal[0] + y * plane.normal[1] + z * plane.normal[2];
-        }
-        const double above = height * height * plane.inverse_area;
-        const double inside = outside <= 0 ? above : INFINITY;
-        const double bound = outside <= 0 ? INFINITY : (above + way) * plane.safe;
-        const double square = b->squares[i];
-        b->squares[i] = inside < square ? inside : square;
-        bounds[i] = bound - square;
-        least_gain = bounds[i] < least_gain ? bounds[i] : least_gain;
-    }
-    if (!(least_gain < 0))
-        return;
-    for (unsigned i = 0; i < b->count; i++) {
-        if (!(bounds[i] < 0))
-            continue;
-        const double square =
-            edge_square(&plane, b->points[0][i], b->points[1][i], b->points[2][i]);
-        b->squares[i] = square < b->squares[i] ? square : b->squares[i];
-    }
-}
-
-/* The same for one point. Divides only if the point may be closer. */
-double vox_triangle_square(const float *const corners[3], const float point[3], double most)
-{
-    const double p[3] = {(double)point[0], (double)point[1], (double)point[2]};
-    struct plane plane;
-    set_plane(corners, &plane);
+    struct vox_plane plane;
+    vox_set_plane(corners, &plane);
     const double *c = plane.corners[2], to[3] = {p[0] - c[0], p[1] - c[1], p[2] - c[2]};
     const double height = bsq_dotd(to, plane.normal), above = height * height;
     const double limit = most * plane.area;
@@ -265,37 +159,53 @@ double vox_triangle_square(const float *const corners[3], const float point[3], 
             return most;
         inside &= beyond <= 0;
     }
-    set_inverses(&plane);
+    vox_set_inverses(&plane);
     const double square =
-        inside ? above * plane.inverse_area : edge_square(&plane, p[0], p[1], p[2]);
+        inside ? above * plane.inverse_area : vox_edge_square(&plane, p[0], p[1], p[2]);
     return square < most ? square : most;
 }
 
-/* Tries a triangle of a leaf if its own box is near enough. */
-static void try_boxed(const struct vox_closest *tree, uint32_t triangle, struct batch *b)
+double vox_triangle_square(const float *const corners[3], const float point[3], double most)
+{
+    const double p[3] = {(double)point[0], (double)point[1], (double)point[2]};
+    return vox_triangle_square_at(corners, p, most);
+}
+
+static void bound_triangle(const struct vox_closest *tree, uint32_t triangle, float low[3],
+                           float high[3])
 {
     const uint32_t *t = tree->triangles[triangle];
-    const float *const corners[3] = {tree->positions[t[0]], tree->positions[t[1]],
-                                     tree->positions[t[2]]};
-    float low[3], high[3];
     for (int k = 0; k < 3; k++) {
-        const float x = corners[0][k], y = corners[1][k], z = corners[2][k];
+        const float x = tree->positions[t[0]][k], y = tree->positions[t[1]][k],
+                    z = tree->positions[t[2]][k];
         const float less = x < y ? x : y, more = x < y ? y : x;
         low[k] = less < z ? less : z;
         high[k] = more > z ? more : z;
     }
-    if (!(vox_box_square(low, high, b->low, b->high) < b->most))
-        return;
-    if (b->count == 1) {
-        const float *point = b->low;
-        b->most = b->squares[0] = vox_triangle_square(corners, point, b->most);
-        return;
-    }
-    try_triangle(corners, b);
-    find_most(b);
 }
 
-static void walk_tree(const struct vox_closest *tree, struct batch *b)
+/* Tries a triangle of a leaf if its own box is near enough. */
+static void try_boxed(const struct vox_closest *tree, uint32_t triangle, struct vox_batch *b)
+{
+    const float *corners[3];
+    float low[3], high[3];
+    bound_triangle(tree, triangle, low, high);
+    if (!(vox_box_square(low, high, b->low, b->high) < b->most))
+        return;
+    vox_closest_corners(tree, triangle, corners);
+    if (b->count > 1) {
+        BSQ_SIMD_PICK(tree->level, vox_try_triangle)(corners, triangle, b);
+        find_most(b);
+        return;
+    }
+    const double p[3] = {b->points[0][0], b->points[1][0], b->points[2][0]};
+    const double square = vox_triangle_square_at(corners, p, b->most);
+    if (square < b->most)
+        b->owners[0] = triangle;
+    b->most = b->squares[0] = square;
+}
+
+static void walk_tree(const struct vox_closest *tree, struct vox_batch *b)
 {
     struct {
         uint32_t node;
@@ -327,26 +237,74 @@ static void walk_tree(const struct vox_closest *tree, struct batch *b)
     }
 }
 
-static void set_batch(const float (*points)[3], unsigned count, double *squares, struct batch *b)
+static void set_batch(const float (*points)[3], unsigned count, double *squares,
+                      struct vox_batch *b)
 {
     b->count = count;
     b->squares = squares;
     memcpy(b->low, points[0], sizeof b->low);
     memcpy(b->high, points[0], sizeof b->high);
-    for (unsigned i = 0; i < count; i++)
+    for (unsigned i = 0; i < count; i++) {
+        b->owners[i] = -1;
         for (int k = 0; k < 3; k++) {
             const float x = points[i][k];
             b->points[k][i] = (double)x;
             b->low[k] = x < b->low[k] ? x : b->low[k];
             b->high[k] = x > b->high[k] ? x : b->high[k];
         }
+    }
     find_most(b);
 }
 
 void vox_closest_squares(const struct vox_closest *tree, const float (*points)[3], unsigned count,
-                         double *squares)
+                         double *squares, uint32_t *triangles)
 {
-    struct batch b;
+    struct vox_batch b;
     set_batch(points, count, squares, &b);
     walk_tree(tree, &b);
+    for (unsigned i = 0; i < count && triangles; i++)
+        if (b.owners[i] >= 0)
+            triangles[i] = (uint32_t)b.owners[i];
+}
+
+uint32_t vox_closest_point(const struct vox_closest *tree, const double point[3], double *square)
+{
+    struct vox_batch b = {.count = 1, .squares = square, .owners = {-1}};
+    for (int k = 0; k < 3; k++) {
+        const float x = (float)point[k];
+        b.points[k][0] = point[k];
+        b.low[k] = (double)x > point[k] ? nextafterf(x, -INFINITY) : x;
+        b.high[k] = (double)x < point[k] ? nextafterf(x, INFINITY) : x;
+    }
+    find_most(&b);
+    walk_tree(tree, &b);
+    return b.owners[0] >= 0 ? (uint32_t)b.owners[0] : UINT32_MAX;
+}
+
+bool vox_closest_near(const struct vox_closest *tree, const float low[3], const float high[3],
+                      double square, bool (*found)(void *arg, uint32_t triangle, double square),
+                      void *arg)
+{
+    uint32_t stack[DEPTH_MAX + 1];
+    unsigned depth = 0;
+    stack[depth++] = 0;
+    while (depth > 0) {
+        const uint32_t at = stack[--depth];
+        const struct vox_closest_node *node = &tree->nodes[at];
+        if (vox_box_square(node->low, node->high, low, high) > square)
+            continue;
+        if (node->right > 0) {
+            stack[depth++] = node->right;
+            stack[depth++] = at + 1;
+            continue;
+        }
+        for (uint32_t i = node->begin; i < node->end; i++) {
+            float own_low[3], own_high[3];
+            bound_triangle(tree, tree->order[i], own_low, own_high);
+            const double own = vox_box_square(own_low, own_high, low, high);
+            if (own <= square && found(arg, tree->order[i], own))
+                return true;
+        }
+    }
+    return false;
 }

@@ -5,6 +5,7 @@
 #include <math.h>
 
 #include "base/context.h"
+#include "base/simd/simd.h"
 
 struct vox_closest_node;
 
@@ -14,6 +15,7 @@ struct vox_closest {
     const uint32_t (*triangles)[3];
     struct vox_closest_node *nodes;
     uint32_t *order; /* numbers of triangles, by leaves */
+    enum bsq_simd level;
 };
 
 /* Builds a tree. in_order: triangles that follow each other are neighbours, as in a chunk, so their
@@ -27,13 +29,38 @@ void vox_closest_free(struct bsq_ctx *ctx, struct vox_closest *tree);
 enum { VOX_CLOSEST_BATCH = 32 };
 
 /* Lowers each of `squares` to the squared distance of a point from the closest triangle, unless it
- * is less already. Up to VOX_CLOSEST_BATCH points that lie close together take less time than one
- * by one. Thread-safe. */
+ * is less already. triangles: NULL, or receives the numbers of these triangles, if a square was
+ * lowered. Up to VOX_CLOSEST_BATCH points that lie close together take less time than one by one.
+ * Thread-safe. */
 void vox_closest_squares(const struct vox_closest *tree, const float (*points)[3], unsigned count,
-                         double *squares);
+                         double *squares, uint32_t *triangles);
+/* Does the same for one point. Returns the triangle; UINT32_MAX: none is closer. Thread-safe. */
+uint32_t vox_closest_point(const struct vox_closest *tree, const double point[3], double *square);
 
-/* Returns the squared distance of a point from a triangle, or `most` if that is less. */
+/* Calls `found` for each triangle whose box is at most this squared distance away from a box, with
+ * its own one, until a call returns true; then returns true. Thread-safe. */
+bool vox_closest_near(const struct vox_closest *tree, const float low[3], const float high[3],
+                      double square, bool (*found)(void *arg, uint32_t triangle, double square),
+                      void *arg);
+
+static inline void vox_closest_corners(const struct vox_closest *tree, uint32_t triangle,
+                                       const float *corners[3])
+{
+    for (int k = 0; k < 3; k++)
+        corners[k] = tree->positions[tree->triangles[triangle][k]];
+}
+
+/* Return the squared distance of a point from a triangle, or `most` if that is less. */
 double vox_triangle_square(const float *const corners[3], const float point[3], double most);
+double vox_triangle_square_at(const float *const corners[3], const double point[3], double most);
+
+static inline double vox_square_between(const float p[3], const float q[3])
+{
+    double square = 0;
+    for (int k = 0; k < 3; k++)
+        square += ((double)p[k] - (double)q[k]) * ((double)p[k] - (double)q[k]);
+    return square;
+}
 
 /* Returns the squared distance of two boxes, or a little less, because differences are rounded; 0
  * if they touch. Without branches, which would be hard to predict. */

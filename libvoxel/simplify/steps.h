@@ -68,10 +68,10 @@ int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh,
 
 /* ---- measure.c: how far a low-poly mesh is from its scan, both ways ---- */
 
-/* Measures the distance of each vertex of the scan from the closest point of the mesh, and of the
- * mesh's vertices, and points spread evenly over its area, from the closest point of the scan.
- * Means are by area. Reads the scan twice, chunk by chunk. Stops as soon as a distance of the first
- * kind is above `enough`; then the figures of that kind are those so far, and the others 0. Errors:
+/* Measures the distance of each point of the scan from the closest point of the mesh, and of the
+ * mesh from the scan. Maxima are bounds, means are by area. Reads the scan twice, chunk by chunk,
+ * and then the chunks around triangles that are still open. Stops as soon as a distance is above
+ * `enough`; then the figures of that kind are those so far, and others may be 0. Errors:
  * BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA, BSQ_EINTR. */
 int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_mesh *mesh,
                 double enough, struct vox_distances *scan_to_mesh,

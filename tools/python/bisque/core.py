@@ -398,7 +398,7 @@ def simplify(scan: Any, output: str | os.PathLike | None = None, *, triangles: i
 
 def measure(low: Any, scan: Any, *, memory: int | str | None = None, threads: int = 0,
             tmpdir: Any = None, progress: Progress | None = None) -> dict:
-    """Measures how far a mesh is from a scan: from_scan, from each vertex of the scan to the mesh,
+    """Measures how far a mesh is from a scan: from_scan, from all of the scan to the mesh,
     and from_mesh, the other way. Raises Error."""
     with Job(memory, threads, tmpdir, progress) as job:
         chunks = _chunks(job, scan)

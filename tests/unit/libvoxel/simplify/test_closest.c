@@ -59,10 +59,10 @@ static void compare_closest(bool in_order)
                 points[j][k] = 1.4f * random_number(&seed) - 0.2f;
             squares[j] = INFINITY;
         }
-        vox_closest_squares(&tree, (const float(*)[3])points, count, squares);
+        vox_closest_squares(&tree, (const float(*)[3])points, count, squares, NULL);
         for (unsigned j = 0; j < count; j++)
             halves[j] = squares[j] / 2;
-        vox_closest_squares(&tree, (const float(*)[3])points, count, halves);
+        vox_closest_squares(&tree, (const float(*)[3])points, count, halves, NULL);
         for (unsigned j = 0; j < count; j++) {
             const double q[3] = {(double)points[j][0], (double)points[j][1], (double)points[j][2]};
             double sampled = INFINITY;

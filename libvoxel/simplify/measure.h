@@ -1,0 +1,72 @@
+/* measure.h - the steps of measuring a low-poly mesh, which measure.c puts together. */
+#ifndef VOX_SIMPLIFY_MEASURE_H
+#define VOX_SIMPLIFY_MEASURE_H
+
+#include <stdatomic.h>
+
+#include "formats/chunks/tris.h"
+#include "libvoxel/simplify/bound.h"
+#include "libvoxel/simplify/cover.h"
+#include "libvoxel/simplify/mesh.h"
+#include "libvoxel/voxel.h"
+
+/* Of the histogram: sixteen steps in each octave of squares of distances, for all doubles that
+ * squares of floats may be. */
+enum { VOX_BINS_FIRST = (1023 - 300) * 16, VOX_BINS = 600 * 16 };
+
+struct vox_sums {
+    double weight, distance, square; /* weighted sums */
+    double bins[VOX_BINS];           /* weights by square */
+};
+
+struct vox_measuring {
+    struct bsq_ctx *ctx;
+    const struct fmt_tris_file *file;
+    const struct vox_mesh *mesh;
+    double enough, diagonal;
+    double reach;            /* square root of a mesh's triangle's area, in the mean */
+    double guess;            /* distance of a vertex of the scan that is farther than most */
+    struct vox_closest tree; /* of the mesh */
+    struct vox_cover cover;
+    double *bounds; /* of triangles of the mesh; INFINITY: not known */
+    struct vox_sums *from_scan, *from_mesh;
+    struct vox_bound scan, low; /* of the scan's points, and the mesh's */
+};
+
+/* Loads a chunk. The caller frees *scratch, on failure too. */
+int vox_load_chunk(const struct vox_measuring *m, uint64_t index, void **scratch,
+                   struct fmt_tris_chunk *chunk);
+
+static inline double vox_longest_edge(const float *const corners[3])
+{
+    double longest = 0;
+    for (int k = 0; k < 3; k++) {
+        const double square = vox_square_between(corners[k], corners[(k + 1) % 3]);
+        longest = square > longest ? square : longest;
+    }
+    return sqrt(longest);
+}
+
+/* Adds a distance to sums. */
+static inline void vox_add_distance(struct vox_sums *sums, double square, double weight)
+{
+    union {
+        double value;
+        uint64_t bits;
+    } key = {square};
+    const int64_t bin = (int64_t)(key.bits >> 48) - VOX_BINS_FIRST;
+    sums->weight += weight;
+    sums->distance += weight * sqrt(square);
+    sums->square += weight * square;
+    sums->bins[bin < 0 ? 0 : bin >= VOX_BINS ? VOX_BINS - 1 : bin] += weight;
+}
+
+/* samples.c: measures the distances of points spread over the mesh, and of its vertices, from the
+ * scan. Sets m->from_mesh, and m->low to the largest one; lowers m->bounds by them. */
+int vox_measure_samples(struct vox_measuring *m);
+
+/* resolve.c: bounds the triangles of the mesh whose m->bounds are higher than m->low allows, by the
+ * scan around them. Sets m->low.high. */
+int vox_resolve_bounds(struct vox_measuring *m);
+
+#endif
