@@ -25,7 +25,7 @@ static const double rounding_share = 1e-6;
 /* A vertex counts as much as all points around it if its squared distance from the old mesh is this
  * many times the mean squares of all points' distances and of those around it; a nearer one counts
  * far less. */
-static const double far_factor = 100, far_around = 16;
+static const double far_factor = 100, far_around = 4;
 /* Most that a vertex counts more than the points around it. */
 static const double most_weight = 1e4;
 
