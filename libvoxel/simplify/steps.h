@@ -61,8 +61,8 @@ struct vox_removed {
 
 /* Collapses edges of a welded mesh, cheapest first, until `target` triangles are left or no edge
  * can collapse. Small pieces and narrow handles go when that costs no more; *removed counts them.
- * Then fits and compacts the mesh. Counts triangles as progress of the context. The result depends on the
- * mesh and the target alone. Errors: BSQ_ENOMEM, BSQ_EINTR. */
+ * Then fits and compacts the mesh. Counts triangles as progress of the context. The result depends
+ * on the mesh and the target alone. Errors: BSQ_ENOMEM, BSQ_EINTR. */
 int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh,
                  struct vox_removed *removed);
 
