@@ -23,9 +23,8 @@ static const double fit_pull = 3e-3, border_pull = 0.3;
  * distance is below this share of its area, where drifts are rounding. */
 static const double rounding_share = 1e-6;
 /* A vertex counts as much as all points around it if its squared distance from the old mesh is this
- * many times the mean squares of all points' distances and of those around it; a nearer one counts
- * far less. */
-static const double far_factor = 100, far_around = 4;
+ * many times the mean square of all points' distances; a nearer one counts far less. */
+static const double far_factor = 100;
 /* Most that a vertex counts more than the points around it. */
 static const double most_weight = 1e4;
 
@@ -278,9 +277,7 @@ static void move_vertex(struct fit *f, uint32_t v)
     if ((r->flags[v] & VOX_LOCKED) || !(weight > 0))
         return;
     if (advice->square > 0 && advice->square < INFINITY) {
-        const double far = far_factor * f->squares / f->weight +
-                           far_around * advice->squares / weight,
-                     ratio = advice->square / far;
+        const double far = far_factor * f->squares / f->weight, ratio = advice->square / far;
         add_advice(advice, advice->way, -advice->square,
                    weight * fmin(ratio * ratio, most_weight) / advice->square);
     }
