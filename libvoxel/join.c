@@ -297,7 +297,7 @@ static int join_work(void *arg, void *slot, uint64_t sequence, unsigned worker)
         materials[t] += materials[t] == UINT32_MAX ? 0 : j->part->first_material;
     chunk.texcoords = chunk.texcoords ? chunk.texcoords : (const float(*)[2])j->zeros;
     chunk.colors = chunk.colors ? chunk.colors : j->ones;
-    chunk.fine_colors = chunk.fine_colors ? chunk.fine_colors : (const uint32_t *)j->zeros;
+    chunk.fine_colors = chunk.fine_colors ? chunk.fine_colors : (const void *)j->zeros;
     chunk.materials = chunk.materials ? chunk.materials : j->ones;
     return fmt_tris_encode(j->ctx, j->header.attributes, &chunk, s->encoded, &s->size, &s->info);
 }

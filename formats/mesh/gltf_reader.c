@@ -262,7 +262,7 @@ static int parse_colors(struct parser *p)
             p->arrays->colors[i][k] = isfinite(from[k]) ? display_color(from[k] * factor[k]) : NAN;
     p->slot->color_white = 1;
     p->slot->fine_colors =
-        !own || own->component != GLTF_UINT8 || memcmp(factor, white, sizeof white) != 0;
+        !own || own->component != GLTF_UINT8 || factor[0] != 1 || factor[1] != 1 || factor[2] != 1;
     return status;
 }
 

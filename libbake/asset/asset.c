@@ -80,13 +80,12 @@ static uint32_t asset_find_transfer(const struct bake_options *options, uint32_t
 static void asset_dither_normals(float *rows, const struct tile_images *tile, uint32_t first,
                                  uint32_t count)
 {
-    for (uint64_t i = 0; i < (uint64_t)count * tile->width; i++) {
-        const uint64_t x = i % tile->width, place = tile->row + first + i / tile->width + x;
-        for (uint64_t k = 0; k < 2; k++) {
-            float *at = &rows[3 * i + k];
-            if (x + 1 < tile->width && fabsf(at[3] - at[0]) < 0.25f / 255)
-                at[0] += (place & 1 ? 0.25f : -0.25f) / 255;
-        }
+    for (uint32_t row = 0; row < count; row++) {
+        float *at = rows + 3 * (uint64_t)row * tile->width;
+        for (uint32_t x = 0; x + 1 < tile->width; x++, at += 3)
+            for (int k = 0; k < 2; k++)
+                if (fabsf(at[3 + k] - at[k]) < 0.25f / 255)
+                    at[k] += ((tile->row + first + row + x) & 1 ? 0.25f : -0.25f) / 255;
     }
 }
 

@@ -62,7 +62,7 @@ static void trace_kind(const struct pass *pass, const bk_viewpoint *viewpoint, u
     struct exact_look_limits limits = {
         .two_sided = open, .facing_origin = viewpoint->side < 0, .any = any};
     for (uint32_t i = 0; i < kind.count; i++) {
-        double t;
+        double t = 0;
         if (any && hidden[i / 64] >> (i % 64) & 1)
             continue;
         const bk_vec3 from = bk_ray_start(&kind, viewpoint);
