@@ -11,7 +11,7 @@
 
 #include "base/geometry/vec.h"
 
-enum { CORNERS_MAX = 16, CORNERS_MANY = 9, PARTS_DEPTH_MAX = 96, PARTS_MAX = 4096 };
+enum { CORNERS_MAX = 16, CORNERS_MANY = 9, PARTS_DEPTH_MAX = 96, PARTS_MAX = 32768 };
 
 struct polygon {
     unsigned count;
@@ -21,6 +21,8 @@ struct polygon {
 struct bounding {
     const struct vox_closest *tree;
     struct vox_bound *bound;
+    double high;  /* of the parts that are bounded */
+    double loose; /* how many times as high as allowed that may be */
     unsigned parts;
 };
 
@@ -157,9 +159,10 @@ static void bound_part(struct bounding *in, struct polygon *p, uint32_t near, bo
     near = closest != UINT32_MAX ? closest : near;
     vox_bound_note(in->bound, middle, sqrt(square));
     vox_closest_corners(in->tree, near, triangle);
-    const double most = farthest_corner(p, triangle), allowed = vox_bound_allowed(in->bound);
+    const double most = farthest_corner(p, triangle),
+                 allowed = in->loose * vox_bound_allowed(in->bound);
     if (most <= allowed || depth == PARTS_DEPTH_MAX || ++in->parts > PARTS_MAX) {
-        in->bound->high = fmax(in->bound->high, most);
+        in->high = fmax(in->high, most);
         return;
     }
     unsigned count = 0;
@@ -178,10 +181,16 @@ static void bound_part(struct bounding *in, struct polygon *p, uint32_t near, bo
 void vox_bound_triangle(const struct vox_closest *tree, const float *const corners[3],
                         struct vox_bound *b)
 {
-    struct bounding in = {.tree = tree, .bound = b};
-    struct polygon p = {.count = 3};
-    for (int i = 0; i < 3; i++)
-        for (int k = 0; k < 3; k++)
-            p.corners[i][k] = (double)corners[i][k];
-    bound_part(&in, &p, UINT32_MAX, false, 0);
+    struct bounding in = {.tree = tree, .bound = b, .loose = 0.5};
+    do {
+        struct polygon p = {.count = 3};
+        for (int i = 0; i < 3; i++)
+            for (int k = 0; k < 3; k++)
+                p.corners[i][k] = (double)corners[i][k];
+        in.loose *= 2;
+        in.high = 0;
+        in.parts = 0;
+        bound_part(&in, &p, UINT32_MAX, false, 0);
+    } while (in.parts > PARTS_MAX);
+    b->high = fmax(b->high, in.high);
 }

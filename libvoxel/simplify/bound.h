@@ -21,8 +21,9 @@ static inline double vox_bound_allowed(const struct vox_bound *b)
 void vox_bound_note(struct vox_bound *b, const double where[3], double distance);
 void vox_bound_add(struct vox_bound *b, const struct vox_bound *other);
 
-/* Adds a triangle. `high` is a true bound in any case. It is more than allowed only if thousands of
- * parts of the triangle do not suffice. The result depends on the arguments alone. */
+/* Adds a triangle. `high` is a true bound in any case. Where thousands of parts of the triangle do
+ * not suffice, it may become twice as high as allowed, or four times, and so on. The result depends
+ * on the arguments alone. */
 void vox_bound_triangle(const struct vox_closest *tree, const float *const corners[3],
                         struct vox_bound *b);
 
