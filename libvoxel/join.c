@@ -289,9 +289,7 @@ static int join_work(void *arg, void *slot, uint64_t sequence, unsigned worker)
     struct join_slot *s = slot;
     struct fmt_tris_chunk chunk;
     (void)worker;
-    const int status = fmt_tris_load(j->open, sequence, s->scratch, &chunk);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_tris_load(j->open, sequence, s->scratch, &chunk));
     uint32_t *materials = (uint32_t *)chunk.materials; /* in the scratch memory */
     for (uint32_t t = 0; materials && t < chunk.triangle_count; t++)
         materials[t] += materials[t] == UINT32_MAX ? 0 : j->part->first_material;

@@ -145,9 +145,7 @@ static int load_chunk_leaves(const struct pass *pass, uint32_t index, char *memo
     const uint32_t number = pass->chunks[index];
     const struct fmt_tris_chunk_info *info = &exact->chunks[number];
     struct fmt_tris_chunk chunk;
-    int status = fmt_tris_load(exact->file, number, scratch, &chunk);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_tris_load(exact->file, number, scratch, &chunk));
     ++*exact->loads;
     if (exact->points)
         bake_exact_take_areas(exact, number, &chunk);
@@ -192,9 +190,7 @@ static int look_load_group(struct pass *pass, const uint32_t *chunks, uint32_t c
         pass->viewpoints->count * (pass->states->opens + pass->states->solids) > triangles;
     pass->sided = pass->states->solids > 0;
     look->loaded = 0;
-    int status = bsq_parallel_for(look->exact->ctx, look->loaders, load_some, pass);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bsq_parallel_for(look->exact->ctx, look->loaders, load_some, pass));
     look->loaded = count;
     bake_exact_tree_build(&look->group.tree, count, look->boxes, look->tree_memory);
     return 0;

@@ -201,13 +201,12 @@ static int shade_hit(const struct wave *wave, struct exact_slot *slot, uint64_t 
  * prefetched: corners a bundle ahead, then vertices. */
 static int shade_block(const struct wave *wave, struct exact_slot *slot, const struct block *block)
 {
-    int status = 0;
-    for (uint64_t i = block->begin; i < block->end && status == 0; i++) {
+    for (uint64_t i = block->begin; i < block->end; i++) {
         each_hit(wave, slot, i + 1, i + 2 < block->end ? i + 2 : block->end, prefetch_corners);
         each_hit(wave, slot, i, i + 1, prefetch_vertices);
-        status = each_hit(wave, slot, i, i + 1, shade_hit);
+        BSQ_PASS(each_hit(wave, slot, i, i + 1, shade_hit));
     }
-    return status;
+    return 0;
 }
 
 static int run_block(void *arg, uint64_t index, unsigned worker)

@@ -61,8 +61,8 @@ static int take_answer(struct normals_run *run, struct answer_slot *s,
     s->normals[vertex] = answer->first;
     if (!(answer->vertex & ANSWER_CREASE))
         return 0;
-    status = bsq_grow(run->ctx, "creases", vertices + words * (s->crease_count + UINT64_C(1)),
-                      sizeof *s->normals, &s->normals, &s->normals_capacity);
+    status = BSQ_GROW(run->ctx, "creases", vertices + words * (s->crease_count + UINT64_C(1)),
+                      &s->normals, &s->normals_capacity);
     if (status == 0)
         memcpy(&s->normals[vertices + words * s->crease_count++], &crease, sizeof crease);
     return status;
@@ -75,19 +75,17 @@ static int take_answers(struct normals_run *run, uint64_t chunk, struct answer_s
     const uint32_t bucket = (uint32_t)(chunk / run->answer_chunks);
     const uint64_t count = run->answers.list[bucket].bytes / sizeof *s->answers;
     struct bsq_spill_cursor cursor = {0};
-    int status = 0;
     for (uint64_t first = 0; first < count; first += ANSWERS) {
         const uint64_t some = count - first < ANSWERS ? count - first : ANSWERS;
-        BSQ_TRY(bsq_spill_read(&run->answers, bucket, first * sizeof *s->answers,
-                               some * sizeof *s->answers, s->answers, &cursor));
+        BSQ_PASS(bsq_spill_read(&run->answers, bucket, first * sizeof *s->answers,
+                                some * sizeof *s->answers, s->answers, &cursor));
         for (uint64_t i = 0; i < some; i++)
             if (s->answers[i].chunk == chunk) {
-                BSQ_TRY(take_answer(run, s, &s->answers[i]));
+                BSQ_PASS(take_answer(run, s, &s->answers[i]));
                 *changed = true;
             }
     }
-done:
-    return status;
+    return 0;
 }
 
 static int answer_work(void *arg, void *slot, uint64_t chunk, unsigned worker)
@@ -96,20 +94,17 @@ static int answer_work(void *arg, void *slot, uint64_t chunk, unsigned worker)
     struct answer_slot *s = slot;
     const uint32_t vertices = run->infos[chunk].vertex_count;
     bool changed = false;
-    int status;
     (void)worker;
     s->crease_count = 0;
-    BSQ_TRY(bsq_grow(run->ctx, "normals", vertices, sizeof *s->normals, &s->normals,
-                     &s->normals_capacity));
-    BSQ_TRY(fmt_tris_normals_get(run->file, chunk, s->normals));
-    BSQ_TRY(take_answers(run, chunk, s, &changed));
+    BSQ_PASS(BSQ_GROW(run->ctx, "normals", vertices, &s->normals, &s->normals_capacity));
+    BSQ_PASS(fmt_tris_normals_get(run->file, chunk, s->normals));
+    BSQ_PASS(take_answers(run, chunk, s, &changed));
     bsq_sort(s->normals + vertices, s->crease_count, sizeof(struct fmt_tris_crease),
              compare_creases);
     s->checksum = fmt_tris_normals_checksum(s->normals, vertices, s->crease_count);
     if (changed)
-        status = fmt_tris_normals_put(run->writer, chunk, s->normals);
-done:
-    return status;
+        return fmt_tris_normals_put(run->writer, chunk, s->normals);
+    return 0;
 }
 
 static int answer_emit(void *arg, void *slot, uint64_t chunk)
@@ -127,9 +122,9 @@ static int complete_chunks(struct normals_run *run)
     struct answer_slot *slots = NULL;
     const uint64_t count = (uint64_t)SLOTS * bsq_threads(run->ctx);
     int status;
-    BSQ_TRY(bsq_calloc(run->ctx, "normals", count, sizeof *slots, &slots));
+    BSQ_TRY(BSQ_CALLOC(run->ctx, "normals", count, &slots));
     for (uint64_t i = 0; i < count; i++)
-        BSQ_TRY(bsq_alloc(run->ctx, "normals", ANSWERS, sizeof *slots->answers, &slots[i].answers));
+        BSQ_TRY(BSQ_ALLOC(run->ctx, "normals", ANSWERS, &slots[i].answers));
     const struct bsq_pipeline pipeline = {.produce = answer_produce,
                                           .work = answer_work,
                                           .emit = answer_emit,
@@ -140,8 +135,7 @@ static int complete_chunks(struct normals_run *run)
     status = bsq_pipeline_run(run->ctx, &pipeline);
 done:
     for (uint64_t i = 0; slots && i < count; i++) {
-        bsq_free(run->ctx, slots[i].answers);
-        bsq_free(run->ctx, slots[i].normals);
+        BSQ_FREE(run->ctx, slots[i].answers, slots[i].normals);
     }
     bsq_free(run->ctx, slots);
     return status;

@@ -193,9 +193,7 @@ static int visit_work(void *arg, void *slot, uint64_t chunk, unsigned worker)
     const struct normals_run *run = arg;
     struct ring_slot *s = slot;
     (void)worker;
-    int status = fmt_tris_load(run->file, chunk, s->scratch, &s->tris);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_tris_load(run->file, chunk, s->scratch, &s->tris));
     if (s->tris.texcoords || s->tris.colors)
         weld_vertices(s);
     else
@@ -220,20 +218,19 @@ static int send_triangle(struct normals_run *run, uint32_t chunk, struct ring_sl
 {
     const uint32_t *v = s->tris.triangles[triangle];
     struct open_corner record = {.chunk = chunk};
-    int status = 0;
     for (int i = 0; i < 3; i++)
         memcpy(record.triangle[i], s->tris.positions[v[i]], sizeof record.triangle[i]);
-    for (uint32_t i = 0; i < 3 && status == 0; i++) {
+    for (uint32_t i = 0; i < 3; i++) {
         if (!s->open[v[i]])
             continue;
         record.vertex =
             v[i] | i << OPEN_CORNER_SHIFT | (s->open[v[i]] == OPEN ? OPEN_ASKS : UINT32_C(0));
         s->open[v[i]] = ASKED;
         const uint32_t hash = bsq_position_hash(record.triangle[i]);
-        status = bsq_spill_add(&run->corners, normals_bucket(hash, run->corners.stream_count),
-                               &record, sizeof record);
+        BSQ_PASS(bsq_spill_add(&run->corners, normals_bucket(hash, run->corners.stream_count),
+                               &record, sizeof record));
     }
-    return status;
+    return 0;
 }
 
 static int visit_emit(void *arg, void *slot, uint64_t sequence)
@@ -264,7 +261,7 @@ int vox_normals_visit_chunks(struct normals_run *run)
     const uint64_t count = fits > run->chunk_count ? run->chunk_count : fits > 0 ? fits : 1;
     uint8_t *memory = NULL;
     int status;
-    BSQ_TRY(bsq_calloc(run->ctx, "normals", count, sizeof *slots, &slots));
+    BSQ_TRY(BSQ_CALLOC(run->ctx, "normals", count, &slots));
     BSQ_TRY(bsq_alloc(run->ctx, "normals", count, bytes, &memory));
     for (uint64_t i = 0; i < count; i++) {
         slot_lay_out(run, memory + i * bytes, &slots[i]);
@@ -280,7 +277,6 @@ int vox_normals_visit_chunks(struct normals_run *run)
                                           .slot_count = (unsigned)count};
     status = bsq_pipeline_run(run->ctx, &pipeline);
 done:
-    bsq_free(run->ctx, memory);
-    bsq_free(run->ctx, slots);
+    BSQ_FREE(run->ctx, memory, slots);
     return status;
 }

@@ -153,28 +153,25 @@ static int join_part(struct open_worker *w, const struct open_part *part, bool *
 {
     uint32_t creases;
     vox_rings_pack_fn *const pack = BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_pack);
-    int status = 0;
     *fits = true;
     w->count = 0;
     memset(w->table.slots, 0, (w->table.mask + UINT64_C(1)) * sizeof *w->table.slots);
-    BSQ_TRY(run_records(w, part, false, VOX_RING_SUM, fits));
+    BSQ_PASS(run_records(w, part, false, VOX_RING_SUM, fits));
     if (!*fits)
         return 0;
     const uint64_t rings = w->count + UINT64_C(1);
     w->rings.crease_of[0] = 0;
     vox_rings_number_creases(&w->rings, w->run->weights, 1, rings, UINT32_MAX, &creases);
     if (creases > 0) {
-        BSQ_TRY(run_records(w, part, false, VOX_RING_FARTHEST, fits));
+        BSQ_PASS(run_records(w, part, false, VOX_RING_FARTHEST, fits));
         if (vox_rings_divide(&w->rings, 1, rings)) {
-            BSQ_TRY(run_records(w, part, false, VOX_RING_SIDES, fits));
+            BSQ_PASS(run_records(w, part, false, VOX_RING_SIDES, fits));
             vox_rings_decide(&w->rings, 1, rings);
         }
         pack((const double(*)[4])w->rings.seconds, w->all, creases, w->seconds);
     }
     pack((const double(*)[4])w->rings.sums, w->all, w->count, w->firsts);
-    status = run_records(w, part, true, VOX_RING_SUM, fits);
-done:
-    return status;
+    return run_records(w, part, true, VOX_RING_SUM, fits);
 }
 
 /* Does a bucket, in as many parts as are needed: halves, and halves of these. */
@@ -214,9 +211,7 @@ static int make_worker(struct normals_run *run, uint32_t most, struct open_worke
 {
     uint8_t *memory;
     *w = (struct open_worker){.run = run, .most = most};
-    int status = bsq_alloc(run->ctx, "normals", worker_lay_out(NULL, w), 1, &memory);
-    if (status < 0)
-        return status;
+    BSQ_PASS(bsq_alloc(run->ctx, "normals", worker_lay_out(NULL, w), 1, &memory));
     worker_lay_out(memory, w);
     w->table.mask = bsq_positions_slots(most) - 1;
     w->table.positions = (const float(*)[3])w->positions;
@@ -240,7 +235,7 @@ int vox_normals_join_corners(struct normals_run *run)
     uint64_t most = share / worker_lay_out(NULL, &one) * LEAST_POSITIONS;
     most = most < LEAST_POSITIONS ? LEAST_POSITIONS : most;
     most = most > MOST_POSITIONS ? MOST_POSITIONS : most;
-    int status = bsq_calloc(run->ctx, "normals", threads, sizeof *workers, &workers);
+    int status = BSQ_CALLOC(run->ctx, "normals", threads, &workers);
     for (unsigned i = 0; i < threads && status == 0; i++)
         status = make_worker(run, (uint32_t)most, &workers[i]);
     if (status == 0)

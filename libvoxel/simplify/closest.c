@@ -103,14 +103,12 @@ int vox_closest_build(struct bsq_ctx *ctx, const float (*positions)[3],
     *out = (struct vox_closest){
         .positions = positions, .triangles = triangles, .level = bsq_simd_best()};
     /* Leaves have at least half of LEAF_TRIANGLES. */
-    BSQ_TRY(
-        bsq_alloc(ctx, "a tree of triangles", triangle_count + 1, sizeof *out->nodes, &out->nodes));
-    BSQ_TRY(bsq_alloc(ctx, "a tree of triangles", triangle_count, sizeof *out->order, &out->order));
+    BSQ_TRY(BSQ_ALLOC(ctx, "a tree of triangles", triangle_count + 1, &out->nodes));
+    BSQ_TRY(BSQ_ALLOC(ctx, "a tree of triangles", triangle_count, &out->order));
     for (uint32_t t = 0; t < triangle_count; t++)
         out->order[t] = t;
     if (!in_order)
-        BSQ_TRY(
-            bsq_alloc(ctx, "a tree of triangles", triangle_count, sizeof *b.middles, &b.middles));
+        BSQ_TRY(BSQ_ALLOC(ctx, "a tree of triangles", triangle_count, &b.middles));
     for (uint32_t t = 0; t < triangle_count && b.middles; t++) {
         for (int k = 0; k < 3; k++) {
             const float x = positions[triangles[t][0]][k], y = positions[triangles[t][1]][k],
@@ -128,8 +126,7 @@ done:
 
 void vox_closest_free(struct bsq_ctx *ctx, struct vox_closest *tree)
 {
-    bsq_free(ctx, tree->nodes);
-    bsq_free(ctx, tree->order);
+    BSQ_FREE(ctx, tree->nodes, tree->order);
     *tree = (struct vox_closest){0};
 }
 

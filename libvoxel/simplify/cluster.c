@@ -77,7 +77,7 @@ static int keep_borders(struct clustering *c, uint32_t *kept)
     uint64_t *sums = NULL;
     int status = 0;
     *kept = 0;
-    BSQ_TRY(bsq_calloc(c->ctx, "clusters", mesh->vertex_count, sizeof *sums, &sums));
+    BSQ_TRY(BSQ_CALLOC(c->ctx, "clusters", mesh->vertex_count, &sums));
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         const uint32_t *v = mesh->triangles[t];
         const uint64_t m[3] = {mix(v[0]), mix(v[1]), mix(v[2])};
@@ -431,21 +431,18 @@ static int allocate(struct clustering *c)
 {
     static const char what[] = "clusters";
     const uint64_t vertices = c->mesh->vertex_count, triangles = c->mesh->triangle_count;
-    int status = 0;
-    BSQ_TRY(bsq_alloc(c->ctx, what, vertices, sizeof *c->cells, &c->cells));
-    BSQ_TRY(bsq_alloc(c->ctx, what, vertices, sizeof *c->owners, &c->owners));
-    BSQ_TRY(bsq_alloc(c->ctx, what, vertices, sizeof *c->euler, &c->euler));
-    BSQ_TRY(bsq_alloc(c->ctx, what, vertices, sizeof *c->bad, &c->bad));
-    BSQ_TRY(bsq_alloc(c->ctx, what, vertices, sizeof *c->positions, &c->positions));
-    BSQ_TRY(bsq_alloc(c->ctx, what, vertices, sizeof *c->quadrics, &c->quadrics));
-    BSQ_TRY(bsq_alloc(c->ctx, what, vertices, sizeof *c->sizes, &c->sizes));
-    BSQ_TRY(bsq_alloc(c->ctx, what, triangles, sizeof *c->kept, &c->kept));
-    BSQ_TRY(bsq_alloc(c->ctx, what, vertices + 1, sizeof *c->first, &c->first));
-    BSQ_TRY(bsq_alloc(c->ctx, what, 3 * triangles, sizeof *c->corners, &c->corners));
-    BSQ_TRY(bsq_alloc(c->ctx, what, triangles, sizeof *c->normals, &c->normals));
-    BSQ_TRY(bsq_alloc(c->ctx, what, vertices, sizeof *c->marks, &c->marks));
-done:
-    return status;
+    BSQ_PASS(BSQ_ALLOC(c->ctx, what, vertices, &c->cells));
+    BSQ_PASS(BSQ_ALLOC(c->ctx, what, vertices, &c->owners));
+    BSQ_PASS(BSQ_ALLOC(c->ctx, what, vertices, &c->euler));
+    BSQ_PASS(BSQ_ALLOC(c->ctx, what, vertices, &c->bad));
+    BSQ_PASS(BSQ_ALLOC(c->ctx, what, vertices, &c->positions));
+    BSQ_PASS(BSQ_ALLOC(c->ctx, what, vertices, &c->quadrics));
+    BSQ_PASS(BSQ_ALLOC(c->ctx, what, vertices, &c->sizes));
+    BSQ_PASS(BSQ_ALLOC(c->ctx, what, triangles, &c->kept));
+    BSQ_PASS(BSQ_ALLOC(c->ctx, what, vertices + 1, &c->first));
+    BSQ_PASS(BSQ_ALLOC(c->ctx, what, 3 * triangles, &c->corners));
+    BSQ_PASS(BSQ_ALLOC(c->ctx, what, triangles, &c->normals));
+    return BSQ_ALLOC(c->ctx, what, vertices, &c->marks);
 }
 
 int vox_cluster(struct bsq_ctx *ctx, double share, struct vox_mesh *mesh)
@@ -474,17 +471,7 @@ int vox_cluster(struct bsq_ctx *ctx, double share, struct vox_mesh *mesh)
     if (!again)
         compact(&c);
 done:
-    bsq_free(ctx, c.marks);
-    bsq_free(ctx, c.normals);
-    bsq_free(ctx, c.corners);
-    bsq_free(ctx, c.first);
-    bsq_free(ctx, c.kept);
-    bsq_free(ctx, c.sizes);
-    bsq_free(ctx, c.quadrics);
-    bsq_free(ctx, c.positions);
-    bsq_free(ctx, c.bad);
-    bsq_free(ctx, c.euler);
-    bsq_free(ctx, c.owners);
-    bsq_free(ctx, c.cells);
+    BSQ_FREE(ctx, c.marks, c.normals, c.corners, c.first, c.kept, c.sizes, c.quadrics, c.positions,
+             c.bad, c.euler, c.owners, c.cells);
     return status;
 }

@@ -609,10 +609,7 @@ static double find_unit(const struct vox_mesh *mesh)
 /* Frees what only collapses need. */
 static void free_candidates(struct collapse *c)
 {
-    bsq_free(c->rings.ctx, c->places.places);
-    bsq_free(c->rings.ctx, c->heap);
-    bsq_free(c->rings.ctx, c->around);
-    bsq_free(c->rings.ctx, c->stamps);
+    BSQ_FREE(c->rings.ctx, c->places.places, c->heap, c->around, c->stamps);
     c->places.places = NULL;
     c->heap = NULL;
     c->around = NULL;
@@ -634,12 +631,12 @@ int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh,
     if (mesh->triangle_count <= target)
         return 0;
     BSQ_TRY(vox_rings_build(ctx, mesh, false, &c.rings));
-    BSQ_TRY(bsq_calloc(ctx, what, vertices, sizeof *c.stamps, &c.stamps));
-    BSQ_TRY(bsq_calloc(ctx, what, vertices, sizeof *c.drifts, &c.drifts));
-    BSQ_TRY(bsq_alloc(ctx, what, vertices, sizeof *c.around, &c.around));
-    BSQ_TRY(bsq_alloc(ctx, what, vertices, sizeof *c.old, &c.old));
-    BSQ_TRY(bsq_alloc(ctx, what, vertices, sizeof *c.into, &c.into));
-    BSQ_TRY(bsq_alloc(ctx, what, c.heap_capacity, sizeof *c.heap, &c.heap));
+    BSQ_TRY(BSQ_CALLOC(ctx, what, vertices, &c.stamps));
+    BSQ_TRY(BSQ_CALLOC(ctx, what, vertices, &c.drifts));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, vertices, &c.around));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, vertices, &c.old));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, vertices, &c.into));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, c.heap_capacity, &c.heap));
     memcpy(c.old, mesh->positions, vertices * sizeof *c.old);
     for (uint32_t v = 0; v < vertices; v++) {
         c.into[v] = v;
@@ -651,9 +648,7 @@ int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh,
     vox_rings_compact(&c.rings);
 done:
     free_candidates(&c);
-    bsq_free(ctx, c.into);
-    bsq_free(ctx, c.old);
-    bsq_free(ctx, c.drifts);
+    BSQ_FREE(ctx, c.into, c.old, c.drifts);
     vox_rings_free(&c.rings);
     return status;
 }

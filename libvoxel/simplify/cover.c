@@ -178,7 +178,7 @@ void vox_cover_add(const struct vox_cover *cover, const struct fmt_tris_chunk *c
 
 int vox_cover_begin(struct bsq_ctx *ctx, uint32_t triangle_count, struct vox_cover *cover)
 {
-    return bsq_calloc(ctx, "sums of triangles", triangle_count, sizeof *cover->sums, &cover->sums);
+    return BSQ_CALLOC(ctx, "sums of triangles", triangle_count, &cover->sums);
 }
 
 void vox_cover_free(struct bsq_ctx *ctx, struct vox_cover *cover)

@@ -301,9 +301,9 @@ int vox_fit(struct vox_rings *r, const struct vox_fit_from *from)
     const uint64_t points = (uint64_t)mesh->vertex_count + mesh->triangle_count;
     struct fit f = {.r = r, .from = from};
     int status = 0;
-    BSQ_TRY(bsq_alloc(r->ctx, what, points, sizeof *f.near, &f.near));
-    BSQ_TRY(bsq_calloc(r->ctx, what, mesh->vertex_count, sizeof *f.areas, &f.areas));
-    BSQ_TRY(bsq_alloc(r->ctx, what, mesh->vertex_count, sizeof *f.advice, &f.advice));
+    BSQ_TRY(BSQ_ALLOC(r->ctx, what, points, &f.near));
+    BSQ_TRY(BSQ_CALLOC(r->ctx, what, mesh->vertex_count, &f.areas));
+    BSQ_TRY(BSQ_ALLOC(r->ctx, what, mesh->vertex_count, &f.advice));
     for (uint32_t v = 0; v < mesh->vertex_count; v++)
         f.near[v] = vox_first_corner(r, vox_find_root(from->into, v));
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
@@ -319,8 +319,6 @@ int vox_fit(struct vox_rings *r, const struct vox_fit_from *from)
             move_vertex(&f, v);
     }
 done:
-    bsq_free(r->ctx, f.advice);
-    bsq_free(r->ctx, f.areas);
-    bsq_free(r->ctx, f.near);
+    BSQ_FREE(r->ctx, f.advice, f.areas, f.near);
     return status;
 }

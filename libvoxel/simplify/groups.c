@@ -61,9 +61,7 @@ static int open_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file, st
     const struct fmt_tris_chunk_info *chunks = fmt_tris_chunks(file);
     const uint64_t count = fmt_tris_get_header(file)->chunk_count;
     *level = (struct level){.ctx = ctx, .chunks = file};
-    int status = bsq_alloc(ctx, "groups of chunks", count, sizeof *level->members, &level->members);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_ALLOC(ctx, "groups of chunks", count, &level->members));
     level->member_count = count;
     for (uint64_t i = 0; i < count; i++) {
         level->members[i] = (struct member){0, chunks[i].vertex_count, chunks[i].triangle_count};
@@ -110,18 +108,15 @@ static int read_part(const struct level *level, uint64_t index, struct vox_mesh 
                    triangles = member->triangles * sizeof *mesh->triangles;
     const struct bsq_spill *spill = &level->spill;
     uint64_t at = member->offset;
-    int status = 0;
-    BSQ_TRY(bsq_spill_read(spill, 0, at, positions, mesh->positions + mesh->vertex_count, NULL));
+    BSQ_PASS(bsq_spill_read(spill, 0, at, positions, mesh->positions + mesh->vertex_count, NULL));
     at += positions;
-    BSQ_TRY(bsq_spill_read(spill, 0, at, quadrics, mesh->quadrics + mesh->vertex_count, NULL));
+    BSQ_PASS(bsq_spill_read(spill, 0, at, quadrics, mesh->quadrics + mesh->vertex_count, NULL));
     at += quadrics;
-    BSQ_TRY(bsq_spill_read(spill, 0, at, triangles, mesh->triangles + mesh->triangle_count, NULL));
+    BSQ_PASS(bsq_spill_read(spill, 0, at, triangles, mesh->triangles + mesh->triangle_count, NULL));
     if (mesh->materials)
-        status =
-            bsq_spill_read(spill, 0, at + triangles, member->triangles * sizeof *mesh->materials,
-                           mesh->materials + mesh->triangle_count, NULL);
-done:
-    return status;
+        return bsq_spill_read(spill, 0, at + triangles, member->triangles * sizeof *mesh->materials,
+                              mesh->materials + mesh->triangle_count, NULL);
+    return 0;
 }
 
 /* Makes a welded mesh of members [begin, end). It has quadrics if `carried` or if it is not of
@@ -252,9 +247,8 @@ static int reduce_level(const struct level *from, uint64_t target, const char *b
                         .cluster = least / CLUSTER_FACTOR >= target};
     int status = 0;
     *to = (struct level){.ctx = from->ctx, .numbers = from->numbers};
-    BSQ_TRY(bsq_alloc(to->ctx, "groups of chunks", from->member_count, sizeof *to->members,
-                      &to->members));
-    BSQ_TRY(bsq_calloc(to->ctx, "groups of chunks", slot_count, sizeof *slots, &slots));
+    BSQ_TRY(BSQ_ALLOC(to->ctx, "groups of chunks", from->member_count, &to->members));
+    BSQ_TRY(BSQ_CALLOC(to->ctx, "groups of chunks", slot_count, &slots));
     BSQ_TRY(bsq_spill_init(&to->spill, to->ctx, "simplified groups", beside, 1, 1, PAGE_BYTES, 0));
     const struct bsq_pipeline pipeline = {.produce = produce_group,
                                           .work = collapse_group,
@@ -283,8 +277,8 @@ static int number_materials(struct bsq_ctx *ctx, const struct fmt_tris_header *h
     struct bsq_texts names = {0};
     uint32_t *firsts = NULL; /* materials that brought the names */
     int status = 0;
-    BSQ_TRY(bsq_alloc(ctx, "materials", count, sizeof **numbers, numbers));
-    BSQ_TRY(bsq_alloc(ctx, "materials", count, sizeof *firsts, &firsts));
+    BSQ_TRY(BSQ_ALLOC(ctx, "materials", count, numbers));
+    BSQ_TRY(BSQ_ALLOC(ctx, "materials", count, &firsts));
     for (uint32_t i = 0; i < header->material_count; i++) {
         const char *name = header->materials[i].name;
         const uint64_t before = names.count;

@@ -81,8 +81,8 @@ static double triangle_area(const float (*positions)[3], const uint32_t triangle
 int vox_load_chunk(const struct vox_measuring *m, uint64_t index, void **scratch,
                    struct fmt_tris_chunk *chunk)
 {
-    int status = bsq_alloc(m->ctx, "a chunk", fmt_tris_load_size(m->file, index), 1, scratch);
-    return status < 0 ? status : fmt_tris_load(m->file, index, *scratch, chunk);
+    BSQ_PASS(bsq_alloc(m->ctx, "a chunk", fmt_tris_load_size(m->file, index), 1, scratch));
+    return fmt_tris_load(m->file, index, *scratch, chunk);
 }
 
 /* Returns how many points from the first on, at most a batch, are within reach of it. */
@@ -124,7 +124,7 @@ static int guess_chunk(struct vox_measuring *m, uint64_t index)
     uint32_t last = UINT32_MAX;
     int status = 0;
     BSQ_TRY(vox_load_chunk(m, index, &scratch, &chunk));
-    BSQ_TRY(bsq_alloc(m->ctx, "distances", chunk.vertex_count, sizeof *squares, &squares));
+    BSQ_TRY(BSQ_ALLOC(m->ctx, "distances", chunk.vertex_count, &squares));
     for (uint32_t v = 0; v < chunk.vertex_count; v += (GUESS_RUNS - 1) * VOX_CLOSEST_BATCH) {
         const uint32_t begin = v;
         measure_run(m, &chunk, squares, NULL, &v, &last);
@@ -133,8 +133,7 @@ static int guess_chunk(struct vox_measuring *m, uint64_t index)
         BSQ_TRY(bsq_check(m->ctx));
     }
 done:
-    bsq_free(m->ctx, squares);
-    bsq_free(m->ctx, scratch);
+    BSQ_FREE(m->ctx, squares, scratch);
     return status;
 }
 
@@ -266,21 +265,17 @@ static int measure_chunk(void *arg, void *slot_, uint64_t sequence, unsigned wor
     (void)worker;
     BSQ_TRY(vox_load_chunk(m, sequence, &scratch, &chunk));
     const uint32_t count = chunk.vertex_count;
-    BSQ_TRY(bsq_alloc(m->ctx, "distances", count, sizeof *of.squares, &of.squares));
-    BSQ_TRY(bsq_calloc(m->ctx, "areas", count, sizeof *of.weights, &of.weights));
-    BSQ_TRY(bsq_alloc(m->ctx, "closest triangles", count, sizeof *of.closest, &of.closest));
-    BSQ_TRY(bsq_alloc(m->ctx, "numbers of blocks", count, sizeof *of.blocks, &of.blocks));
+    BSQ_TRY(BSQ_ALLOC(m->ctx, "distances", count, &of.squares));
+    BSQ_TRY(BSQ_CALLOC(m->ctx, "areas", count, &of.weights));
+    BSQ_TRY(BSQ_ALLOC(m->ctx, "closest triangles", count, &of.closest));
+    BSQ_TRY(BSQ_ALLOC(m->ctx, "numbers of blocks", count, &of.blocks));
     BSQ_TRY(measure_vertices(m, &chunk, &of, &slot->bound));
     BSQ_TRY(measure_triangles(m, &chunk, &of, slot));
     for (uint32_t v = 0; v < count; v++)
         vox_add_distance(&slot->sums, of.squares[v], of.weights[v]);
     vox_cover_add(&m->cover, &chunk, of.blocks);
 done:
-    bsq_free(m->ctx, of.blocks);
-    bsq_free(m->ctx, of.closest);
-    bsq_free(m->ctx, of.weights);
-    bsq_free(m->ctx, of.squares);
-    bsq_free(m->ctx, scratch);
+    BSQ_FREE(m->ctx, of.blocks, of.closest, of.weights, of.squares, scratch);
     return status;
 }
 
@@ -308,7 +303,7 @@ static int measure_scan(struct vox_measuring *m)
                                   .margin = m->scan.slack / 8,
                                   .reach = m->reach};
     BSQ_TRY(vox_cover_begin(m->ctx, m->mesh->triangle_count, &m->cover));
-    BSQ_TRY(bsq_alloc(m->ctx, "distances", slot_count, sizeof *slots, &slots));
+    BSQ_TRY(BSQ_ALLOC(m->ctx, "distances", slot_count, &slots));
     const struct bsq_pipeline pipeline = {.produce = produce_chunk,
                                           .work = measure_chunk,
                                           .emit = add_chunk,
@@ -357,9 +352,9 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
     const uint32_t count = mesh->triangle_count;
     int status = 0;
     measure_sizes(&m);
-    BSQ_TRY(bsq_calloc(ctx, "distances", 1, sizeof *m.from_scan, &m.from_scan));
-    BSQ_TRY(bsq_calloc(ctx, "distances", 1, sizeof *m.from_mesh, &m.from_mesh));
-    BSQ_TRY(bsq_alloc(ctx, "bounds", count, sizeof *m.bounds, &m.bounds));
+    BSQ_TRY(BSQ_CALLOC(ctx, "distances", 1, &m.from_scan));
+    BSQ_TRY(BSQ_CALLOC(ctx, "distances", 1, &m.from_mesh));
+    BSQ_TRY(BSQ_ALLOC(ctx, "bounds", count, &m.bounds));
     BSQ_TRY(vox_closest_build(ctx, (const float(*)[3])mesh->positions,
                               (const uint32_t(*)[3])mesh->triangles, count, false, &m.tree));
     BSQ_TRY(measure_scan(&m));
@@ -375,8 +370,6 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
 done:
     vox_cover_free(ctx, &m.cover);
     vox_closest_free(ctx, &m.tree);
-    bsq_free(ctx, m.bounds);
-    bsq_free(ctx, m.from_mesh);
-    bsq_free(ctx, m.from_scan);
+    BSQ_FREE(ctx, m.bounds, m.from_mesh, m.from_scan);
     return status;
 }

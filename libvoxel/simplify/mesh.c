@@ -76,12 +76,12 @@ int vox_mesh_allocate(struct bsq_ctx *ctx, uint32_t vertices, uint32_t triangles
 {
     int status = 0;
     *mesh = (struct vox_mesh){.vertex_count = vertices, .triangle_count = triangles};
-    BSQ_TRY(bsq_alloc(ctx, "a mesh", vertices, sizeof *mesh->positions, &mesh->positions));
-    BSQ_TRY(bsq_alloc(ctx, "a mesh", triangles, sizeof *mesh->triangles, &mesh->triangles));
+    BSQ_TRY(BSQ_ALLOC(ctx, "a mesh", vertices, &mesh->positions));
+    BSQ_TRY(BSQ_ALLOC(ctx, "a mesh", triangles, &mesh->triangles));
     if (quadrics)
-        BSQ_TRY(bsq_alloc(ctx, "a mesh", vertices, sizeof *mesh->quadrics, &mesh->quadrics));
+        BSQ_TRY(BSQ_ALLOC(ctx, "a mesh", vertices, &mesh->quadrics));
     if (materials)
-        BSQ_TRY(bsq_alloc(ctx, "a mesh", triangles, sizeof *mesh->materials, &mesh->materials));
+        BSQ_TRY(BSQ_ALLOC(ctx, "a mesh", triangles, &mesh->materials));
 done:
     if (status < 0)
         vox_mesh_free(ctx, mesh);
@@ -91,10 +91,8 @@ done:
 int vox_mesh_copy(struct bsq_ctx *ctx, const struct vox_mesh *from, uint32_t more,
                   struct vox_mesh *to)
 {
-    int status = vox_mesh_allocate(ctx, from->vertex_count, from->triangle_count + more, false,
-                                   from->materials != NULL, to);
-    if (status < 0)
-        return status;
+    BSQ_PASS(vox_mesh_allocate(ctx, from->vertex_count, from->triangle_count + more, false,
+                               from->materials != NULL, to));
     memcpy(to->positions, from->positions, from->vertex_count * sizeof *to->positions);
     memcpy(to->triangles, from->triangles, from->triangle_count * sizeof *to->triangles);
     if (from->materials)
@@ -104,10 +102,7 @@ int vox_mesh_copy(struct bsq_ctx *ctx, const struct vox_mesh *from, uint32_t mor
 
 void vox_mesh_free(struct bsq_ctx *ctx, struct vox_mesh *mesh)
 {
-    bsq_free(ctx, mesh->positions);
-    bsq_free(ctx, mesh->triangles);
-    bsq_free(ctx, mesh->quadrics);
-    bsq_free(ctx, mesh->materials);
+    BSQ_FREE(ctx, mesh->positions, mesh->triangles, mesh->quadrics, mesh->materials);
     *mesh = (struct vox_mesh){0};
 }
 
@@ -188,17 +183,14 @@ int vox_mesh_weld(struct bsq_ctx *ctx, struct vox_mesh *mesh)
     const uint32_t slots = bsq_positions_slots(mesh->vertex_count);
     int status = 0;
     table.mask = slots - 1;
-    BSQ_TRY(bsq_calloc(ctx, "welding a mesh", slots, sizeof *table.slots, &table.slots));
-    BSQ_TRY(bsq_alloc(ctx, "welding a mesh", mesh->vertex_count, sizeof *numbers, &numbers));
-    BSQ_TRY(bsq_alloc(ctx, "welding a mesh", mesh->vertex_count, sizeof *first, &first));
-    BSQ_TRY(bsq_alloc(ctx, "welding a mesh", mesh->triangle_count, sizeof *next, &next));
+    BSQ_TRY(BSQ_CALLOC(ctx, "welding a mesh", slots, &table.slots));
+    BSQ_TRY(BSQ_ALLOC(ctx, "welding a mesh", mesh->vertex_count, &numbers));
+    BSQ_TRY(BSQ_ALLOC(ctx, "welding a mesh", mesh->vertex_count, &first));
+    BSQ_TRY(BSQ_ALLOC(ctx, "welding a mesh", mesh->triangle_count, &next));
     join_vertices(mesh, &table, numbers);
     join_triangles(mesh, numbers, first, next);
 done:
-    bsq_free(ctx, next);
-    bsq_free(ctx, first);
-    bsq_free(ctx, numbers);
-    bsq_free(ctx, table.slots);
+    BSQ_FREE(ctx, next, first, numbers, table.slots);
     return status;
 }
 
@@ -286,9 +278,7 @@ static int add_slits(struct bsq_ctx *ctx, struct vox_mesh *mesh, const struct si
 {
     struct vox_mesh wider;
     const uint32_t before = mesh->triangle_count;
-    int status = vox_mesh_copy(ctx, mesh, count, &wider);
-    if (status < 0)
-        return status;
+    BSQ_PASS(vox_mesh_copy(ctx, mesh, count, &wider));
     for (uint32_t i = 0; i < count; i++) {
         const uint32_t corners[3] = {slits[i].to, slits[i].from, thirds[i]};
         memcpy(wider.triangles[before + i], corners, sizeof corners);
@@ -308,7 +298,7 @@ int vox_mesh_close_slits(struct bsq_ctx *ctx, struct vox_mesh *mesh)
     int64_t *sums = NULL; /* of vertices: their neighbours' squares, after less before */
     uint32_t *thirds = NULL;
     int status = 0;
-    BSQ_TRY(bsq_calloc(ctx, what, mesh->vertex_count + 1U, sizeof *sums, &sums));
+    BSQ_TRY(BSQ_CALLOC(ctx, what, mesh->vertex_count + 1U, &sums));
     for (uint32_t t = 0; t < mesh->triangle_count; t++)
         for (int k = 0; k < 3; k++) {
             const int64_t after = mesh->triangles[t][(k + 1) % 3],
@@ -318,19 +308,15 @@ int vox_mesh_close_slits(struct bsq_ctx *ctx, struct vox_mesh *mesh)
     for (uint32_t t = 0; t < mesh->triangle_count; t++)
         for (int k = 0; k < 3; k++)
             count += sums[mesh->triangles[t][k]] != 0 && sums[mesh->triangles[t][(k + 1) % 3]] != 0;
-    BSQ_TRY(bsq_alloc(ctx, what, count, sizeof *sides, &sides));
-    BSQ_TRY(bsq_alloc(ctx, what, count, sizeof *open, &open));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, count, &sides));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, count, &open));
     const uint32_t open_count = find_open_sides(mesh, sums, sides, open);
-    BSQ_TRY(bsq_alloc(ctx, what, open_count + 1U, sizeof *slits, &slits));
-    BSQ_TRY(bsq_alloc(ctx, what, open_count + 1U, sizeof *thirds, &thirds));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, open_count + 1U, &slits));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, open_count + 1U, &thirds));
     const uint32_t slit_count = find_slits(mesh, open, open_count, slits, thirds);
     if (slit_count > 0)
         status = add_slits(ctx, mesh, slits, thirds, slit_count);
 done:
-    bsq_free(ctx, thirds);
-    bsq_free(ctx, slits);
-    bsq_free(ctx, open);
-    bsq_free(ctx, sides);
-    bsq_free(ctx, sums);
+    BSQ_FREE(ctx, thirds, slits, open, sides, sums);
     return status;
 }

@@ -197,11 +197,11 @@ int vox_resolve_bounds(struct vox_measuring *m)
     const uint32_t count = m->mesh->triangle_count;
     struct resolving r = {.m = m, .near_most = NEAR_LEAST + NEAR_FACTOR * (uint64_t)count};
     int status = 0;
-    BSQ_TRY(bsq_calloc(ctx, "triangles", count, sizeof *r.done, &r.done));
-    BSQ_TRY(bsq_alloc(ctx, "triangles", count, sizeof *r.open, &r.open));
-    BSQ_TRY(bsq_alloc(ctx, "triangles", count, sizeof *r.chosen, &r.chosen));
-    BSQ_TRY(bsq_alloc(ctx, "near triangles", r.near_most, sizeof *r.near, &r.near));
-    BSQ_TRY(bsq_alloc(ctx, "near triangles", r.near_most, sizeof *r.triangles, &r.triangles));
+    BSQ_TRY(BSQ_CALLOC(ctx, "triangles", count, &r.done));
+    BSQ_TRY(BSQ_ALLOC(ctx, "triangles", count, &r.open));
+    BSQ_TRY(BSQ_ALLOC(ctx, "triangles", count, &r.chosen));
+    BSQ_TRY(BSQ_ALLOC(ctx, "near triangles", r.near_most, &r.near));
+    BSQ_TRY(BSQ_ALLOC(ctx, "near triangles", r.near_most, &r.triangles));
     for (list_open(&r); r.open_count > 0 && !(m->low.low > m->enough); list_open(&r)) {
         choose_open(&r);
         BSQ_TRY(gather_near(&r));
@@ -214,10 +214,6 @@ int vox_resolve_bounds(struct vox_measuring *m)
     for (uint32_t t = 0; t < count; t++)
         m->low.high = fmax(m->low.high, m->bounds[t]);
 done:
-    bsq_free(ctx, r.triangles);
-    bsq_free(ctx, r.near);
-    bsq_free(ctx, r.chosen);
-    bsq_free(ctx, r.open);
-    bsq_free(ctx, r.done);
+    BSQ_FREE(ctx, r.triangles, r.near, r.chosen, r.open, r.done);
     return status;
 }

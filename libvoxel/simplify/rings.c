@@ -107,29 +107,24 @@ int vox_rings_build(struct bsq_ctx *ctx, struct vox_mesh *mesh, bool lock_border
 {
     static const char what[] = "an edge collapse";
     const uint64_t vertices = mesh->vertex_count;
-    int status = 0;
     *r = (struct vox_rings){
         .ctx = ctx, .mesh = mesh, .alive = mesh->triangle_count, .spare = VOX_NONE};
-    BSQ_TRY(
+    BSQ_PASS(
         bsq_alloc(ctx, what, mesh->triangle_count, VOX_RING_WORDS * sizeof *r->words, &r->words));
-    BSQ_TRY(bsq_alloc(ctx, what, vertices, sizeof *r->corner, &r->corner));
-    BSQ_TRY(bsq_calloc(ctx, what, vertices, sizeof *r->marks, &r->marks));
-    BSQ_TRY(bsq_calloc(ctx, what, vertices, sizeof *r->flags, &r->flags));
-    BSQ_TRY(link_corners(r));
+    BSQ_PASS(BSQ_ALLOC(ctx, what, vertices, &r->corner));
+    BSQ_PASS(BSQ_CALLOC(ctx, what, vertices, &r->marks));
+    BSQ_PASS(BSQ_CALLOC(ctx, what, vertices, &r->flags));
+    BSQ_PASS(link_corners(r));
     for (uint32_t v = 0; v < vertices; v++) {
-        BSQ_TRY(bsq_check(ctx));
+        BSQ_PASS(bsq_check(ctx));
         flag_vertex(r, v, lock_borders ? VOX_BORDER | VOX_LOCKED : VOX_BORDER);
     }
-done:
-    return status;
+    return 0;
 }
 
 void vox_rings_free(struct vox_rings *r)
 {
-    bsq_free(r->ctx, r->flags);
-    bsq_free(r->ctx, r->marks);
-    bsq_free(r->ctx, r->corner);
-    bsq_free(r->ctx, r->words);
+    BSQ_FREE(r->ctx, r->flags, r->marks, r->corner, r->words);
 }
 
 static bool is_edge(uint32_t a, uint32_t b, const uint32_t ends[2])

@@ -210,19 +210,17 @@ static int measure_sample(const struct sampling *s, uint64_t index, uint32_t sam
     const float(*p)[3] = (const float(*)[3])s->points[sample];
     const double most = get_found(s, sample);
     double square = most;
-    int status = 0;
     if (vox_box_square(info->bounds_min, info->bounds_max, *p, *p) >= most)
         return 0;
     if (!in->tree.nodes) {
-        BSQ_TRY(vox_load_chunk(m, index, &in->scratch, &in->chunk));
-        BSQ_TRY(vox_closest_build(m->ctx, in->chunk.positions, in->chunk.triangles,
-                                  in->chunk.triangle_count, true, &in->tree));
+        BSQ_PASS(vox_load_chunk(m, index, &in->scratch, &in->chunk));
+        BSQ_PASS(vox_closest_build(m->ctx, in->chunk.positions, in->chunk.triangles,
+                                   in->chunk.triangle_count, true, &in->tree));
     }
     vox_closest_squares(&in->tree, p, 1, &square, NULL);
     if (square < most)
         lower_found(s, sample, square);
-done:
-    return status;
+    return 0;
 }
 
 /* Lowers the distances of pending samples that a chunk may be closest to. */
@@ -278,11 +276,10 @@ static int measure_pending(struct sampling *s)
  * within twice that distance first. Only what is not found there is looked for farther away. */
 static int measure_all(struct sampling *s, double most)
 {
-    int status = 0;
     for (uint32_t i = 0; i < s->sample_count; i++)
         s->pending[i] = i;
     s->pending_count = s->sample_count;
-    BSQ_TRY(measure_pending(s));
+    BSQ_PASS(measure_pending(s));
     s->pending_count = 0;
     for (uint32_t i = 0; i < s->sample_count; i++) {
         if (get_found(s, i) < most)
@@ -292,10 +289,8 @@ static int measure_all(struct sampling *s, double most)
     }
     if (s->pending_count == 0)
         return 0;
-    BSQ_TRY(bsq_parallel_for(s->m->ctx, s->pending_count / SAMPLE_BLOCK + 1, bound_samples, s));
-    status = measure_pending(s);
-done:
-    return status;
+    BSQ_PASS(bsq_parallel_for(s->m->ctx, s->pending_count / SAMPLE_BLOCK + 1, bound_samples, s));
+    return measure_pending(s);
 }
 
 /* Adds up the distances, and lowers the bounds of open triangles. */
@@ -325,22 +320,17 @@ int vox_measure_samples(struct vox_measuring *m)
     int status = 0;
     if (triangles + m->mesh->triangle_count < AREA_SAMPLES_MAX / SAMPLES_PER_TRIANGLE)
         s.area_samples = SAMPLES_PER_TRIANGLE * (uint32_t)(triangles + m->mesh->triangle_count);
-    BSQ_TRY(bsq_calloc(m->ctx, "samples", m->mesh->triangle_count, sizeof *s.parts, &s.parts));
+    BSQ_TRY(BSQ_CALLOC(m->ctx, "samples", m->mesh->triangle_count, &s.parts));
     s.sample_count = s.area_samples + m->mesh->vertex_count + choose_grids(&s);
-    BSQ_TRY(bsq_alloc(m->ctx, "samples", s.sample_count, sizeof *s.points, &s.points));
-    BSQ_TRY(bsq_alloc(m->ctx, "samples", s.sample_count, sizeof *s.found, &s.found));
-    BSQ_TRY(bsq_alloc(m->ctx, "samples", s.sample_count, sizeof *s.pending, &s.pending));
-    BSQ_TRY(
-        bsq_alloc(m->ctx, "samples", s.sample_count / BUNDLE + 1, sizeof *s.bundles, &s.bundles));
+    BSQ_TRY(BSQ_ALLOC(m->ctx, "samples", s.sample_count, &s.points));
+    BSQ_TRY(BSQ_ALLOC(m->ctx, "samples", s.sample_count, &s.found));
+    BSQ_TRY(BSQ_ALLOC(m->ctx, "samples", s.sample_count, &s.pending));
+    BSQ_TRY(BSQ_ALLOC(m->ctx, "samples", s.sample_count / BUNDLE + 1, &s.bundles));
     spread_samples(&s, most);
     spread_grids(&s, most);
     BSQ_TRY(measure_all(&s, most));
     use_samples(m, &s);
 done:
-    bsq_free(m->ctx, s.bundles);
-    bsq_free(m->ctx, s.pending);
-    bsq_free(m->ctx, (void *)s.found);
-    bsq_free(m->ctx, s.points);
-    bsq_free(m->ctx, s.parts);
+    BSQ_FREE(m->ctx, s.bundles, s.pending, (void *)s.found, s.points, s.parts);
     return status;
 }

@@ -59,8 +59,8 @@ static int drop_pieces(struct simplifying *s)
     int status = 0;
     if (!(s->options->min_component > 0))
         return 0;
-    BSQ_TRY(bsq_alloc(s->ctx, "pieces", mesh->vertex_count, sizeof *parents, &parents));
-    BSQ_TRY(bsq_alloc(s->ctx, "pieces", mesh->vertex_count, sizeof *pieces, &pieces));
+    BSQ_TRY(BSQ_ALLOC(s->ctx, "pieces", mesh->vertex_count, &parents));
+    BSQ_TRY(BSQ_ALLOC(s->ctx, "pieces", mesh->vertex_count, &pieces));
     for (uint32_t v = 0; v < mesh->vertex_count; v++) {
         parents[v] = v;
         pieces[v] =
@@ -90,8 +90,7 @@ static int drop_pieces(struct simplifying *s)
                      "%s: no piece is as large as the least component, %g of the diagonal %g",
                      s->options->output_paths[0], s->options->min_component, s->report->diagonal);
 done:
-    bsq_free(s->ctx, pieces);
-    bsq_free(s->ctx, parents);
+    BSQ_FREE(s->ctx, pieces, parents);
     return status;
 }
 
@@ -124,9 +123,9 @@ static int measure(struct simplifying *s, const struct vox_mesh *mesh, double en
 static int write_level(struct simplifying *s, uint32_t level)
 {
     struct bsq_output *output;
-    int status = vox_write_mesh(s->ctx, s->options->output_paths[level], &s->mesh, s->header,
-                                s->options->hard_angle, &output);
-    return status < 0 ? status : bsq_output_group_add(&s->outputs, output);
+    BSQ_PASS(vox_write_mesh(s->ctx, s->options->output_paths[level], &s->mesh, s->header,
+                            s->options->hard_angle, &output));
+    return bsq_output_group_add(&s->outputs, output);
 }
 
 static double largest(const struct vox_simplified *level)
@@ -181,17 +180,15 @@ done:
 
 static int simplify_to_targets(struct simplifying *s)
 {
-    int status = 0;
     for (uint32_t i = 0; i < s->options->target_count; i++) {
         struct vox_simplified *level = &s->report->levels[i];
         *level = (struct vox_simplified){.target = s->options->targets[i]};
         s->report->level_count = i + 1;
-        BSQ_TRY(collapse_to(s, &s->mesh, level->target));
-        BSQ_TRY(measure(s, &s->mesh, INFINITY, level));
-        BSQ_TRY(write_level(s, i));
+        BSQ_PASS(collapse_to(s, &s->mesh, level->target));
+        BSQ_PASS(measure(s, &s->mesh, INFINITY, level));
+        BSQ_PASS(write_level(s, i));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* ---- the whole ---- */
@@ -226,10 +223,8 @@ static int check_options(struct bsq_ctx *ctx, const struct vox_simplify_options 
 static int open_scan(struct simplifying *s)
 {
     const struct vox_temp_tris *temp = s->options->temp_tris;
-    const int status = temp ? fmt_tris_open_temp(s->ctx, &temp->file, &s->file)
-                            : fmt_tris_open(s->ctx, s->options->tris_path, &s->file);
-    if (status < 0)
-        return status;
+    BSQ_PASS(temp ? fmt_tris_open_temp(s->ctx, &temp->file, &s->file)
+                  : fmt_tris_open(s->ctx, s->options->tris_path, &s->file));
     s->header = fmt_tris_get_header(s->file);
     s->report->triangles = s->header->triangle_count;
     if (s->options->keep_materials && s->header->material_count == 0)

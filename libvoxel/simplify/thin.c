@@ -190,9 +190,9 @@ int vox_thin(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh)
     if (mesh->triangle_count <= target)
         return 0;
     BSQ_TRY(vox_rings_build(ctx, mesh, true, rings));
-    BSQ_TRY(bsq_alloc(ctx, what, BINS, sizeof *bins, &bins));
-    BSQ_TRY(bsq_alloc(ctx, what, mesh->vertex_count, sizeof *thinning.places, &thinning.places));
-    BSQ_TRY(bsq_alloc(ctx, what, mesh->vertex_count, sizeof *thinning.costs, &thinning.costs));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, BINS, &bins));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, mesh->vertex_count, &thinning.places));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, mesh->vertex_count, &thinning.costs));
     for (uint32_t v = 0; v < mesh->vertex_count; v++) {
         set_place(&thinning, v);
         thinning.costs[v] = is_free(rings, v) ? unknown : INFINITY;
@@ -205,9 +205,7 @@ int vox_thin(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh)
     }
     vox_rings_compact(rings);
 done:
-    bsq_free(ctx, thinning.costs);
-    bsq_free(ctx, thinning.places);
-    bsq_free(ctx, bins);
+    BSQ_FREE(ctx, thinning.costs, thinning.places, bins);
     vox_rings_free(rings);
     return status;
 }

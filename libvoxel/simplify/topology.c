@@ -55,8 +55,7 @@ static int build_places(struct vox_rings *r, struct vox_places *p)
     const struct vox_mesh *mesh = r->mesh;
     bsq_free(r->ctx, p->places);
     *p = (struct vox_places){.alive = r->alive};
-    int status =
-        bsq_alloc(r->ctx, "an edge collapse", mesh->vertex_count, sizeof *p->places, &p->places);
+    int status = BSQ_ALLOC(r->ctx, "an edge collapse", mesh->vertex_count, &p->places);
     for (uint32_t v = 0; v < mesh->vertex_count && status == 0; v++) {
         const float *at = mesh->positions[v];
         if (r->corner[v] != VOX_NONE)
@@ -130,9 +129,7 @@ int vox_find_small_piece(struct vox_rings *r, uint32_t v, struct vox_places *pla
     list_piece(r, v, piece);
     /* Few of the places count after many vertices have gone. */
     if (piece->count > 0 && (!places->places || r->alive < places->alive / 2)) {
-        int status = build_places(r, places);
-        if (status < 0)
-            return status;
+        BSQ_PASS(build_places(r, places));
     }
     /* Points of the piece: the means of each three vertices, which need not differ. */
     for (unsigned i = 0; i < piece->count; i++)

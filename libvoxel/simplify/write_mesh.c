@@ -304,13 +304,12 @@ static int write_glb(struct writing *w, const char *path)
     float(*vertices)[6] = NULL;
     uint32_t *indices = NULL, used = 0;
     int status = 0;
-    BSQ_TRY(bsq_calloc(w->ctx, "writing a mesh", most, sizeof *materials, &materials));
-    BSQ_TRY(bsq_calloc(w->ctx, "writing a mesh", most, sizeof *primitives, &primitives));
-    BSQ_TRY(bsq_calloc(w->ctx, "writing a mesh", most, sizeof *numbers, &numbers));
-    BSQ_TRY(bsq_alloc(w->ctx, "writing a mesh", corners, sizeof *vertices, &vertices));
-    BSQ_TRY(bsq_alloc(w->ctx, "writing a mesh", corners, sizeof *indices, &indices));
-    BSQ_TRY(bsq_calloc(w->ctx, "writing a mesh", w->shaded_count, sizeof *w->shaded_number,
-                       &w->shaded_number));
+    BSQ_TRY(BSQ_CALLOC(w->ctx, "writing a mesh", most, &materials));
+    BSQ_TRY(BSQ_CALLOC(w->ctx, "writing a mesh", most, &primitives));
+    BSQ_TRY(BSQ_CALLOC(w->ctx, "writing a mesh", most, &numbers));
+    BSQ_TRY(BSQ_ALLOC(w->ctx, "writing a mesh", corners, &vertices));
+    BSQ_TRY(BSQ_ALLOC(w->ctx, "writing a mesh", corners, &indices));
+    BSQ_TRY(BSQ_CALLOC(w->ctx, "writing a mesh", w->shaded_count, &w->shaded_number));
     for (uint32_t i = 0; i < w->mesh->triangle_count; glb.primitive_count++) {
         struct fmt_glb_primitive *primitive = &primitives[glb.primitive_count];
         if (w->mesh->materials)
@@ -323,12 +322,7 @@ static int write_glb(struct writing *w, const char *path)
     glb.materials = materials;
     status = fmt_glb_write(w->ctx, &glb, path, w->output);
 done:
-    bsq_free(w->ctx, w->shaded_number);
-    bsq_free(w->ctx, indices);
-    bsq_free(w->ctx, vertices);
-    bsq_free(w->ctx, numbers);
-    bsq_free(w->ctx, primitives);
-    bsq_free(w->ctx, materials);
+    BSQ_FREE(w->ctx, w->shaded_number, indices, vertices, numbers, primitives, materials);
     return status;
 }
 
@@ -358,13 +352,13 @@ int vox_write_mesh(struct bsq_ctx *ctx, const char *path, const struct vox_mesh 
                             hard_angle < 180 ? cos(hard_angle * 3.14159265358979323846 / 180) : -2};
     int status = 0;
     BSQ_TRY(bsq_output_open(ctx, path, &w.output));
-    BSQ_TRY(bsq_alloc(ctx, what, mesh->triangle_count, sizeof *w.faces, &w.faces));
-    BSQ_TRY(bsq_calloc(ctx, what, (uint64_t)mesh->vertex_count + 1, sizeof *w.starts, &w.starts));
-    BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.corners, &w.corners));
-    BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.angles, &w.angles));
-    BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.shaded, &w.shaded));
-    BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.shaded_of, &w.shaded_of));
-    BSQ_TRY(bsq_alloc(ctx, what, mesh->triangle_count, sizeof *w.order, &w.order));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, mesh->triangle_count, &w.faces));
+    BSQ_TRY(BSQ_CALLOC(ctx, what, (uint64_t)mesh->vertex_count + 1, &w.starts));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, corners, &w.corners));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, corners, &w.angles));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, corners, &w.shaded));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, corners, &w.shaded_of));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, mesh->triangle_count, &w.order));
     for (uint32_t t = 0; t < mesh->triangle_count; t++)
         w.order[t] = (struct ordered){mesh->materials ? mesh->materials[t] : 0, t};
     if (mesh->materials)
@@ -377,14 +371,7 @@ int vox_write_mesh(struct bsq_ctx *ctx, const char *path, const struct vox_mesh 
     else
         BSQ_TRY(write_file(&w, strcasecmp(ending_of(path), ".ply") == 0 ? write_ply : write_obj));
 done:
-    bsq_free(ctx, w.order);
-    bsq_free(ctx, w.buffer);
-    bsq_free(ctx, w.shaded_of);
-    bsq_free(ctx, w.shaded);
-    bsq_free(ctx, w.angles);
-    bsq_free(ctx, w.corners);
-    bsq_free(ctx, w.starts);
-    bsq_free(ctx, w.faces);
+    BSQ_FREE(ctx, w.order, w.buffer, w.shaded_of, w.shaded, w.angles, w.corners, w.starts, w.faces);
     if (status < 0)
         bsq_output_discard(w.output);
     else
