@@ -263,7 +263,7 @@ void bsq_noted_input_free(struct bsq_noted_input *input)
 /* ---- outputs ---- */
 
 /* Finds out again where an output's path leads. */
-static void look_again(struct noted *output, bool written)
+static void check_again(struct noted *output, bool written)
 {
     free(output->place.name);
     output->place = files_find_place(output->path);
@@ -277,7 +277,7 @@ int bsq_note_output(struct bsq_ctx *ctx, const char *path)
     pthread_mutex_lock(&ctx->members_lock);
     BSQ_TRY(files_begin(ctx, path));
     BSQ_TRY(files_add(ctx, &files_of(ctx)->outputs, path, &output));
-    look_again(output, false);
+    check_again(output, false);
     for (uint64_t i = 0; i < files_of(ctx)->inputs.paths.count; i++) {
         const struct noted *input = &files_of(ctx)->inputs.files[i];
         if (!input->own && same_place(&input->place, &output->place))
@@ -304,7 +304,7 @@ void bsq_note_written(struct bsq_ctx *ctx, const char *path)
     struct job_files *files = files_of(ctx);
     const uint64_t number = files ? bsq_texts_find(&files->outputs.paths, path) : 0;
     if (files && number < files->outputs.paths.count)
-        look_again(&files->outputs.files[number], true);
+        check_again(&files->outputs.files[number], true);
     for (uint64_t i = 0; files && files->own_count > 0 && i < files->inputs.paths.count; i++)
         files->inputs.files[i].opened &= !files->inputs.files[i].own;
     pthread_mutex_unlock(&ctx->members_lock);

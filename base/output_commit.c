@@ -31,10 +31,10 @@ static int copy_whole(struct bsq_output *output, const struct bsq_file *from, ui
     output->position = output->sent = 0;
     while (output->position < size) {
         uint64_t left = size - output->position;
-        uint64_t part = left < sizeof buffer ? left : sizeof buffer;
+        uint64_t step = left < sizeof buffer ? left : sizeof buffer;
         BSQ_PASS(bsq_check(output->ctx));
-        BSQ_PASS(bsq_file_read(output->ctx, from, buffer, part, output->position));
-        BSQ_PASS(bsq_output_write(output, buffer, part));
+        BSQ_PASS(bsq_file_read(output->ctx, from, buffer, step, output->position));
+        BSQ_PASS(bsq_output_write(output, buffer, step));
     }
     return 0;
 }

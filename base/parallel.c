@@ -22,7 +22,7 @@ struct bsq_pool {
     pthread_cond_t idle; /* the last worker of a job has returned */
     pool_fn *fn;
     void *arg;
-    uint64_t job;             /* number of the job posted last */
+    uint64_t round;           /* number of the job posted last */
     unsigned wanted;          /* threads that take part in it, without the caller */
     unsigned running;         /* of those, how many have not returned */
     bool quit, busy, refused; /* refused: the system creates no more threads */
@@ -31,7 +31,7 @@ struct bsq_pool {
         pthread_t handle;
         struct bsq_pool *pool;
         unsigned number;
-        uint64_t seen; /* the last job before the thread was created */
+        uint64_t before; /* the last job before the thread was created */
     } threads[];
 };
 
@@ -39,14 +39,14 @@ static void *pool_thread_main(void *arg)
 {
     struct pool_thread *self = arg;
     struct bsq_pool *pool = self->pool;
-    uint64_t seen = self->seen;
+    uint64_t before = self->before;
     pthread_mutex_lock(&pool->lock);
     for (;;) {
-        while (!pool->quit && pool->job == seen)
+        while (!pool->quit && pool->round == before)
             pthread_cond_wait(&pool->wake, &pool->lock);
         if (pool->quit)
             break;
-        seen = pool->job;
+        before = pool->round;
         if (self->number >= pool->wanted)
             continue;
         pool_fn *fn = pool->fn;
@@ -82,7 +82,7 @@ static void start_threads(struct bsq_pool *pool, unsigned count)
     while (pool->thread_count < count && !pool->refused) {
         struct pool_thread *thread = &pool->threads[pool->thread_count];
         *thread =
-            (struct pool_thread){.pool = pool, .number = pool->thread_count, .seen = pool->job};
+            (struct pool_thread){.pool = pool, .number = pool->thread_count, .before = pool->round};
         pool->refused = !start_thread(&thread->handle, pool_thread_main, thread);
         pool->thread_count += !pool->refused;
     }
@@ -138,7 +138,7 @@ static void pool_run(struct bsq_ctx *ctx, unsigned workers, pool_fn *fn, void *a
     pool->arg = arg;
     pool->wanted = workers - 1 < pool->thread_count ? workers - 1 : pool->thread_count;
     pool->running = pool->wanted;
-    pool->job++;
+    pool->round++;
     pthread_cond_broadcast(&pool->wake);
     pthread_mutex_unlock(&pool->lock);
 

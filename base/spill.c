@@ -150,11 +150,11 @@ int bsq_spill_add(struct bsq_spill *spill, uint32_t number, const void *bytes, u
     while (status == 0 && size > 0) {
         if (!stream->buffer && (status = take_page(spill, stream)) < 0)
             return status;
-        const uint64_t space = spill->page_bytes - stream->fill, part = size < space ? size : space;
-        memcpy(stream->buffer + stream->fill, from, part);
-        stream->fill += (uint32_t)part;
-        from += part;
-        size -= part;
+        const uint64_t space = spill->page_bytes - stream->fill, step = size < space ? size : space;
+        memcpy(stream->buffer + stream->fill, from, step);
+        stream->fill += (uint32_t)step;
+        from += step;
+        size -= step;
         if (stream->fill == spill->page_bytes)
             status = retire_page(spill, stream);
     }
@@ -222,14 +222,14 @@ int bsq_spill_read(const struct bsq_spill *spill, uint32_t number, uint64_t offs
     const struct bsq_spill_stream *stream = &spill->list[number];
     uint8_t *at = to;
     int status = 0;
-    for (uint64_t part; status == 0 && size > 0; at += part, offset += part, size -= part) {
+    for (uint64_t step; status == 0 && size > 0; at += step, offset += step, size -= step) {
         const uint64_t within = offset % spill->page_bytes, space = spill->page_bytes - within;
         const uint32_t page = find_page(spill, stream, offset / spill->page_bytes, cursor);
-        part = size < space ? size : space;
+        step = size < space ? size : space;
         if (page == BSQ_SPILL_NONE)
-            memcpy(at, stream->buffer + within, part);
+            memcpy(at, stream->buffer + within, step);
         else
-            status = read_page(spill, spill->pages[page].place, within, part, at);
+            status = read_page(spill, spill->pages[page].place, within, step, at);
     }
     return status;
 }

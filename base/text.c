@@ -170,17 +170,17 @@ int bsq_tally_grow(struct bsq_ctx *ctx, struct bsq_tally *tally, uint64_t count,
 
 /* ---- texts ---- */
 
-/* Returns the slot of a text, or an empty one. Some slot must be empty. */
-static uint64_t *text_find_slot(const struct bsq_texts *texts, const char *text)
+/* Returns the cell of a text, or an empty one. Some cell must be empty. */
+static uint64_t *text_find_cell(const struct bsq_texts *texts, const char *text)
 {
     for (uint64_t i = bsq_text_hash(BSQ_HASH_START, text, strlen(text));; i++) {
-        uint64_t *slot = &texts->slots[i & (2 * texts->capacity - 1)];
-        if (*slot == 0 || strcmp(texts->list[*slot - 1], text) == 0)
-            return slot;
+        uint64_t *cell = &texts->cells[i & (2 * texts->capacity - 1)];
+        if (*cell == 0 || strcmp(texts->list[*cell - 1], text) == 0)
+            return cell;
     }
 }
 
-/* Makes space for one more text, and keeps half of the slots empty. */
+/* Makes space for one more text, and keeps half of the cells empty. */
 static int grow(struct bsq_ctx *ctx, struct bsq_tally *tally, struct bsq_texts *texts)
 {
     uint64_t capacity = texts->capacity;
@@ -189,23 +189,23 @@ static int grow(struct bsq_ctx *ctx, struct bsq_tally *tally, struct bsq_texts *
     int status =
         bsq_tally_grow(ctx, tally, texts->count + 1, sizeof *texts->list, &texts->list, &capacity);
     if (status == 0)
-        status = bsq_tally_add(ctx, tally, 2 * (capacity - texts->capacity) * sizeof *texts->slots);
+        status = bsq_tally_add(ctx, tally, 2 * (capacity - texts->capacity) * sizeof *texts->cells);
     assert(status < 0 || capacity > 0);
-    uint64_t *slots = status == 0 ? calloc(2 * capacity, sizeof *slots) : NULL;
-    if (!slots)
+    uint64_t *cells = status == 0 ? calloc(2 * capacity, sizeof *cells) : NULL;
+    if (!cells)
         return status < 0 ? status : text_fail_memory(ctx);
-    free(texts->slots);
-    texts->slots = slots;
+    free(texts->cells);
+    texts->cells = cells;
     texts->capacity = capacity;
     for (uint64_t i = 0; i < texts->count; i++)
-        *text_find_slot(texts, texts->list[i]) = i + 1;
+        *text_find_cell(texts, texts->list[i]) = i + 1;
     return 0;
 }
 
 uint64_t bsq_texts_find(const struct bsq_texts *texts, const char *text)
 {
-    const uint64_t slot = texts->count > 0 ? *text_find_slot(texts, text) : 0;
-    return slot > 0 ? slot - 1 : texts->count;
+    const uint64_t cell = texts->count > 0 ? *text_find_cell(texts, text) : 0;
+    return cell > 0 ? cell - 1 : texts->count;
 }
 
 int bsq_texts_add(struct bsq_ctx *ctx, struct bsq_tally *tally, struct bsq_texts *texts,
@@ -221,7 +221,7 @@ int bsq_texts_add(struct bsq_ctx *ctx, struct bsq_tally *tally, struct bsq_texts
     if (!copy)
         return status < 0 ? status : text_fail_memory(ctx);
     texts->list[texts->count++] = copy;
-    *text_find_slot(texts, text) = texts->count;
+    *text_find_cell(texts, text) = texts->count;
     return 0;
 }
 
@@ -230,6 +230,6 @@ void bsq_texts_free(struct bsq_texts *texts)
     for (uint64_t i = 0; i < texts->count; i++)
         free(texts->list[i]);
     free(texts->list);
-    free(texts->slots);
+    free(texts->cells);
     *texts = (struct bsq_texts){0};
 }

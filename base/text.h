@@ -41,7 +41,7 @@ int bsq_text_copy(struct bsq_ctx *ctx, const char *text, char **out);
 struct bsq_texts {
     char **list; /* each stays where it is */
     uint64_t count, capacity;
-    uint64_t *slots; /* open addressing: number of the text + 1, 0 in empty slots; twice as many as
+    uint64_t *cells; /* open addressing: number of the text + 1, 0 in empty cells; twice as many as
                         `capacity`, a power of 2 */
 };
 

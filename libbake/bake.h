@@ -18,7 +18,7 @@ extern "C" {
 /** Maps; bits that can be combined. bake_map_name() lists all maps, also those without a constant
  * here. */
 enum bake_map {
-    BAKE_MAPS_DEFAULT = 0, /**< What bake_look() finds for the scan. */
+    BAKE_MAPS_DEFAULT = 0, /**< What bake_inspect() finds for the scan. */
     BAKE_MAP_NORMAL = 1,   /**< The unit normal n as n / 2 + 1/2 in R, G, B. */
     BAKE_MAP_COLOR = 2,    /**< Linear Rec. 709 light in EXR, sRGB in PNG. */
     BAKE_MAP_MASK = 4,     /**< Share of a texel's samples that hit: 1 all, 0 none or outside the UV
@@ -328,8 +328,8 @@ const char *bake_map_summary(unsigned number);
  * BSQ_EDATA. Also warns of each option that was given and has no effect on the maps, and names what
  * it needs. given: a flag for each row of bake_option_rows(); NULL: no such warnings. Returns the
  * errors of opening a scan. */
-int bake_look(struct bsq_ctx *ctx, struct bake_options *options, const bool *given,
-              int (*add)(void *arg, const char *name), void *arg);
+int bake_inspect(struct bsq_ctx *ctx, struct bake_options *options, const bool *given,
+                 int (*add)(void *arg, const char *name), void *arg);
 
 /** Fills in the defaults: default maps, 2048 x 2048 texels, 2 x 2 samples, automatic ray lengths,
  * 16 texels of padding, tangent space, any device. */
@@ -373,7 +373,7 @@ struct bake_file {
 };
 
 /** Calls `fn` with `arg` for the file of each map in a tile; NULL: with the tokens of tiles,
- * objects and materials in the path. bake_look() must have set the maps. A status of `fn`
+ * objects and materials in the path. bake_inspect() must have set the maps. A status of `fn`
  * below 0 ends the list and is returned. Errors: BSQ_ENOMEM. */
 int bake_list_files(struct bsq_ctx *ctx, const struct bake_options *options,
                     const struct bake_baked_tile *tile,
@@ -396,7 +396,7 @@ struct bake_report {
     struct bake_baked_tile *tiles;    /**< The UDIM tiles that were baked, by set and number. */
     uint32_t tile_count;              /**< Entries of tiles. */
     uint32_t traced_tiles;            /**< Of these, the ones that this job traces. */
-    bool kept;                        /**< A part that was there already; nothing was done. */
+    bool done;                        /**< A part that was there already; nothing was done. */
     uint64_t expected_rays;           /**< Rays of all texels, before tracing. */
     double expected_seconds; /**< Of one core, for these rays; machines differ by a factor. */
     uint64_t covered_texels; /**< Texels with at least one sample inside a UV chart. */

@@ -19,18 +19,19 @@ static inline uint32_t grid_leaf_slot(const int32_t ijk[3])
 }
 
 /* Returns the tile with a key, or NULL; tiles are sorted. */
-static inline const struct nvdb_tile *grid_find_tile(const struct fmt_nvdb_grid *grid, uint64_t key)
+static inline const struct nvdb_root_tile *grid_find_tile(const struct fmt_nvdb_grid *grid,
+                                                          uint64_t key)
 {
-    const struct nvdb_tile *tiles = (const struct nvdb_tile *)grid->tiles;
-    uint32_t low = 0, high = grid->tile_count;
+    const struct nvdb_root_tile *root_tiles = (const struct nvdb_root_tile *)grid->root_tiles;
+    uint32_t low = 0, high = grid->root_tile_count;
     while (low < high) {
         uint32_t middle = low + (high - low) / 2;
-        if (tiles[middle].key < key)
+        if (root_tiles[middle].key < key)
             low = middle + 1;
         else
             high = middle;
     }
-    return low < grid->tile_count && tiles[low].key == key ? &tiles[low] : NULL;
+    return low < grid->root_tile_count && root_tiles[low].key == key ? &root_tiles[low] : NULL;
 }
 
 /* Returns node number `offset` / `bytes` of a level, or NULL if the level has fewer. */
@@ -72,10 +73,10 @@ static inline const struct nvdb_leaf *grid_leaf_of(const struct fmt_nvdb_grid *g
  * active. */
 static inline uint64_t grid_find(const struct fmt_nvdb_grid *grid, const int32_t ijk[3])
 {
-    const struct nvdb_tile *tile = grid_find_tile(grid, nvdb_root_key(ijk));
+    const struct nvdb_root_tile *tile = grid_find_tile(grid, nvdb_root_key(ijk));
     const struct nvdb_upper *upper = tile ? grid_upper_of(grid, tile->child) : NULL;
     const struct nvdb_lower *lower =
-        upper ? grid_lower_of(grid, upper, nvdb_upper_slot(ijk)) : NULL;
+        upper ? grid_lower_of(grid, upper, nvdb_upper_cell(ijk)) : NULL;
     const struct nvdb_leaf *leaf = lower ? grid_leaf_of(grid, lower, grid_lower_slot(ijk)) : NULL;
     uint32_t slot = grid_leaf_slot(ijk), word = slot >> 6;
     uint64_t bit = UINT64_C(1) << (slot & 63);

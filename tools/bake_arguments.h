@@ -37,8 +37,8 @@ int bake_arguments_map_inputs(struct cli *cli, struct bake_arguments *arguments)
 int bake_arguments_sort_inputs(struct cli *cli, struct bake_arguments *arguments);
 /* Returns the table of the bake's options, with the arguments' values. */
 struct cli_table bake_arguments_table(const struct bake_arguments *arguments);
-/* Completes the options by what the scans have, see bake_look(). */
-int bake_arguments_look(struct cli *cli, struct bake_arguments *arguments);
+/* Completes the options by what the scans have, see bake_inspect(). */
+int bake_arguments_complete(struct cli *cli, struct bake_arguments *arguments);
 void bake_arguments_free(struct bake_arguments *arguments);
 
 /* ---- parts of these, for bake_arguments.c ---- */

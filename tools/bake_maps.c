@@ -275,7 +275,7 @@ static int name_in_folder(struct cli *cli, struct bake_arguments *arguments)
     return arguments->output ? 0 : bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", path);
 }
 
-int bake_arguments_look(struct cli *cli, struct bake_arguments *arguments)
+int bake_arguments_complete(struct cli *cli, struct bake_arguments *arguments)
 {
     struct bake_options *bake = &arguments->bake;
     const struct cli_table table = bake_arguments_table(arguments);
@@ -283,8 +283,8 @@ int bake_arguments_look(struct cli *cli, struct bake_arguments *arguments)
     struct additions to = {cli, arguments};
     BSQ_PASS(name_in_folder(cli, arguments));
     BSQ_PASS(bake_check_options(cli->ctx, bake));
-    BSQ_PASS(bake_look(cli->ctx, bake, arguments->given,
-                       fills || bake->maps & BAKE_MAPS_ALL ? bake_maps_add_channel : NULL, &to));
+    BSQ_PASS(bake_inspect(cli->ctx, bake, arguments->given,
+                          fills || bake->maps & BAKE_MAPS_ALL ? bake_maps_add_channel : NULL, &to));
     if (fills)
         BSQ_PASS(fill_packs(cli, arguments));
     return bake_check_options(cli->ctx, bake);

@@ -454,7 +454,7 @@ int bake_report_print_part(struct cli *cli, const struct bake_arguments *argumen
     const struct bake_options *bake = &arguments->bake;
     char part[CLI_TEXT], samples[CLI_TEXT], misses[CLI_TEXT];
     snprintf(part, sizeof part, "part %u/%u", bake->part, bake->parts);
-    if (report->kept)
+    if (report->done)
         return cli_say_kept(cli, bake->output_path, part);
     if (cli->json)
         return cli_print_json(

@@ -12,7 +12,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     struct bake_report report = {.size = sizeof report};
     int status = 0;
     bake_report_watch(cli, &report);
-    BSQ_TRY(bake_arguments_look(cli, arguments));
+    BSQ_TRY(bake_arguments_complete(cli, arguments));
     if (bake->reference_path)
         BSQ_TRY(bake_report_note_references(cli, bake->reference_path));
     if (bake->page_path) {

@@ -90,7 +90,7 @@ static const struct stage *row_of(const struct cli *cli, const char *name)
 
 /* Returns the percentage when `part` of the current stage is done. Stages that are not in the table
  * have no share. */
-static double percent_at(const struct cli *cli, double part)
+static double percent_at(const struct cli *cli, double fraction)
 {
     double before = 0;
     const uint32_t *times = state.row ? cli->stage_counts[state.row->count] : NULL;
@@ -100,7 +100,7 @@ static double percent_at(const struct cli *cli, double part)
     for (const struct stage *row = stages; row < state.row; row++)
         if (strcmp(row->program, cli->program) == 0)
             before += row->share;
-    return before + state.row->share * fmin((state.times + part) / count, 1);
+    return before + state.row->share * fmin((state.times + fraction) / count, 1);
 }
 
 /* Notes that a stage runs; counts how often it was begun. */
@@ -120,12 +120,12 @@ static void enter_stage(const struct cli *cli, const struct bsq_progress *progre
 
 void cli_percent_report(struct cli *cli, const struct bsq_progress *progress)
 {
-    double part = progress->total > 0 ? (double)progress->done / (double)progress->total : 0;
+    double fraction = progress->total > 0 ? (double)progress->done / (double)progress->total : 0;
     pthread_mutex_lock(&state.lock);
     enter_stage(cli, progress);
-    part = progress->finished ? 1 : fmin(part, 1);
-    part = percent_at(cli, part);
-    state.percent = fmax(state.percent, part);
+    fraction = progress->finished ? 1 : fmin(fraction, 1);
+    fraction = percent_at(cli, fraction);
+    state.percent = fmax(state.percent, fraction);
     print_if_new(cli);
     if (progress->finished)
         state.name = NULL;

@@ -66,16 +66,16 @@ static void draw_bar(struct cli *cli, const struct bsq_progress *progress)
     const char *unit = bytes ? "" : progress->unit, *space = bytes ? "" : " ";
     format_amount(progress->unit, progress->done, done);
     if (progress->total > 0) {
-        double part = (double)progress->done / (double)progress->total;
-        part = part > 1 ? 1 : part;
-        size_t filled = (size_t)(part * BAR_CELLS);
+        double fraction = (double)progress->done / (double)progress->total;
+        fraction = fraction > 1 ? 1 : fraction;
+        size_t filled = (size_t)(fraction * BAR_CELLS);
         memset(cells, '=', filled);
         memset(cells + filled, ' ', BAR_CELLS - filled);
         cells[BAR_CELLS] = '\0';
         format_amount(progress->unit, progress->total, total);
         format_remaining(cli, progress, remaining, sizeof remaining);
         snprintf(line, sizeof line, "%-11s [%s] %3.0f %%  %s of %s%s%s%s", progress->stage, cells,
-                 part * 100, done, total, space, unit, remaining);
+                 fraction * 100, done, total, space, unit, remaining);
     } else {
         snprintf(line, sizeof line, "%-11s %s%s%s", progress->stage, done, space, unit);
     }

@@ -12,20 +12,20 @@
 
 /* A hash table with open addressing. More positions may follow those that are in the table. */
 struct bsq_positions {
-    uint32_t *slots; /* number of a position + 1; 0: free */
-    uint32_t mask;   /* number of slots - 1 */
+    uint32_t *cells; /* number of a position + 1; 0: free */
+    uint32_t mask;   /* number of cells - 1 */
     const float (*positions)[3];
 };
 
-/* Returns the number of slots for that number of positions. At most a quarter of them are in use:
- * most positions that are looked up are not in the table, and each slot in use that they meet costs
+/* Returns the number of cells for that number of positions. At most a quarter of them are in use:
+ * most positions that are looked up are not in the table, and each cell in use that they meet costs
  * a look at its position. */
-static inline uint32_t bsq_positions_slots(uint32_t positions)
+static inline uint32_t bsq_positions_cells(uint32_t positions)
 {
-    uint32_t slots = 16;
-    while (slots / 4 < positions)
-        slots *= 2;
-    return slots;
+    uint32_t cells = 16;
+    while (cells / 4 < positions)
+        cells *= 2;
+    return cells;
 }
 
 /* Both zeros are equal positions. */
@@ -41,17 +41,17 @@ static inline uint32_t bsq_position_hash(const float p[3])
     return (uint32_t)(h ^ h >> 32);
 }
 
-/* Returns the slot of a position with this hash, or the free slot for it. */
+/* Returns the cell of a position with this hash, or the free cell for it. */
 static inline uint32_t *bsq_positions_find_hashed(const struct bsq_positions *table,
                                                   const float p[3], uint32_t hash)
 {
     uint32_t at = hash & table->mask;
-    for (; table->slots[at] != 0; at = (at + 1) & table->mask) {
-        const float *q = table->positions[table->slots[at] - 1];
+    for (; table->cells[at] != 0; at = (at + 1) & table->mask) {
+        const float *q = table->positions[table->cells[at] - 1];
         if ((q[0] == p[0]) & (q[1] == p[1]) & (q[2] == p[2]))
             break;
     }
-    return &table->slots[at];
+    return &table->cells[at];
 }
 
 static inline uint32_t *bsq_positions_find(const struct bsq_positions *table, const float p[3])

@@ -10,14 +10,14 @@
 
 /* A row is two vectors if the processor has no vectors of four. Compilers keep vectors larger than
  * the processor's in memory, where a load has to wait for smaller stores before it. */
-enum { ROW_LANES = LANE_COUNT < 4 ? LANE_COUNT : 4, ROW_PARTS = 4 / ROW_LANES };
-typedef double row_part __attribute__((vector_size(8 * ROW_LANES)));
+enum { ROW_LANES = LANE_COUNT < 4 ? LANE_COUNT : 4, ROW_VECTORS = 4 / ROW_LANES };
+typedef double row_vector __attribute__((vector_size(8 * ROW_LANES)));
 typedef double row_in_memory __attribute__((vector_size(8 * ROW_LANES), aligned(8), may_alias));
 struct row {
-    row_part part[ROW_PARTS];
+    row_vector vector[ROW_VECTORS];
 };
 
-/* An intrinsic for a part of a row. */
+/* An intrinsic for a vector of a row. */
 #ifdef __AVX2__
 #define ROW_CALL(name) _mm256_##name
 #elif defined __SSE2__
@@ -27,60 +27,60 @@ struct row {
 LANES_INLINE struct row row_load(const double *from)
 {
     struct row x;
-    for (int i = 0; i < ROW_PARTS; i++)
-        x.part[i] = *(const row_in_memory *)(from + i * ROW_LANES);
+    for (int i = 0; i < ROW_VECTORS; i++)
+        x.vector[i] = *(const row_in_memory *)(from + i * ROW_LANES);
     return x;
 }
 
 LANES_INLINE void row_store(struct row x, double *to)
 {
-    for (int i = 0; i < ROW_PARTS; i++)
-        *(row_in_memory *)(to + i * ROW_LANES) = x.part[i];
+    for (int i = 0; i < ROW_VECTORS; i++)
+        *(row_in_memory *)(to + i * ROW_LANES) = x.vector[i];
 }
 
 LANES_INLINE struct row row_sum(struct row a, struct row b)
 {
-    for (int i = 0; i < ROW_PARTS; i++)
-        a.part[i] += b.part[i];
+    for (int i = 0; i < ROW_VECTORS; i++)
+        a.vector[i] += b.vector[i];
     return a;
 }
 
 LANES_INLINE struct row row_difference(struct row a, struct row b)
 {
-    for (int i = 0; i < ROW_PARTS; i++)
-        a.part[i] -= b.part[i];
+    for (int i = 0; i < ROW_VECTORS; i++)
+        a.vector[i] -= b.vector[i];
     return a;
 }
 
 LANES_INLINE struct row row_product(struct row a, struct row b)
 {
-    for (int i = 0; i < ROW_PARTS; i++)
-        a.part[i] *= b.part[i];
+    for (int i = 0; i < ROW_VECTORS; i++)
+        a.vector[i] *= b.vector[i];
     return a;
 }
 
 LANES_INLINE struct row row_quotient(struct row a, struct row b)
 {
-    for (int i = 0; i < ROW_PARTS; i++)
-        a.part[i] /= b.part[i];
+    for (int i = 0; i < ROW_VECTORS; i++)
+        a.vector[i] /= b.vector[i];
     return a;
 }
 
 LANES_INLINE struct row row_sqrt(struct row a)
 {
-    for (int i = 0; i < ROW_PARTS; i++)
+    for (int i = 0; i < ROW_VECTORS; i++)
 #ifdef ROW_CALL
-        a.part[i] = ROW_CALL(sqrt_pd)(a.part[i]);
+        a.vector[i] = ROW_CALL(sqrt_pd)(a.vector[i]);
 #else
-        a.part[i] = (row_part){sqrt(a.part[i][0]), sqrt(a.part[i][1])};
+        a.vector[i] = (row_vector){sqrt(a.vector[i][0]), sqrt(a.vector[i][1])};
 #endif
     return a;
 }
 
 LANES_INLINE struct row row_times(double factor, struct row x)
 {
-    for (int i = 0; i < ROW_PARTS; i++)
-        x.part[i] *= factor;
+    for (int i = 0; i < ROW_VECTORS; i++)
+        x.vector[i] *= factor;
     return x;
 }
 
@@ -156,7 +156,7 @@ LANES_INLINE void four_floats_transpose(four_floats v[4])
 /* Returns x with number i replaced. */
 LANES_INLINE struct row row_with(struct row x, int i, double number)
 {
-    x.part[i / ROW_LANES][i % ROW_LANES] = number;
+    x.vector[i / ROW_LANES][i % ROW_LANES] = number;
     return x;
 }
 
@@ -169,7 +169,7 @@ LANES_INLINE struct row row_with_last(struct row x, double last)
 /* Returns number i. */
 LANES_INLINE double row_number(struct row x, int i)
 {
-    return x.part[i / ROW_LANES][i % ROW_LANES];
+    return x.vector[i / ROW_LANES][i % ROW_LANES];
 }
 
 /* Four 32-bit integers. */
@@ -186,13 +186,13 @@ LANES_INLINE four_ints four_load(const int32_t from[4])
 LANES_INLINE four_ints row_floor(struct row x)
 {
 #ifdef __AVX2__
-    return (four_ints)_mm256_cvttpd_epi32(_mm256_floor_pd(x.part[0]));
+    return (four_ints)_mm256_cvttpd_epi32(_mm256_floor_pd(x.vector[0]));
 #elif defined __SSE4_1__
-    return (four_ints)_mm_unpacklo_epi64(_mm_cvttpd_epi32(_mm_floor_pd(x.part[0])),
-                                         _mm_cvttpd_epi32(_mm_floor_pd(x.part[1])));
+    return (four_ints)_mm_unpacklo_epi64(_mm_cvttpd_epi32(_mm_floor_pd(x.vector[0])),
+                                         _mm_cvttpd_epi32(_mm_floor_pd(x.vector[1])));
 #else
-    return (four_ints){(int32_t)floor(x.part[0][0]), (int32_t)floor(x.part[0][1]),
-                       (int32_t)floor(x.part[1][0]), (int32_t)floor(x.part[1][1])};
+    return (four_ints){(int32_t)floor(x.vector[0][0]), (int32_t)floor(x.vector[0][1]),
+                       (int32_t)floor(x.vector[1][0]), (int32_t)floor(x.vector[1][1])};
 #endif
 }
 
@@ -246,24 +246,26 @@ LANES_INLINE uint32_t bits_of_sixteen(const uint32_t from[16])
 /* Returns a < b ? a : b for each number; row_max(): a > b ? a : b. */
 LANES_INLINE struct row row_min(struct row a, struct row b)
 {
-    for (int i = 0; i < ROW_PARTS; i++)
+    for (int i = 0; i < ROW_VECTORS; i++)
 #ifdef ROW_CALL
-        a.part[i] = ROW_CALL(min_pd)(a.part[i], b.part[i]);
+        a.vector[i] = ROW_CALL(min_pd)(a.vector[i], b.vector[i]);
 #else
-        a.part[i] = (row_part){a.part[i][0] < b.part[i][0] ? a.part[i][0] : b.part[i][0],
-                               a.part[i][1] < b.part[i][1] ? a.part[i][1] : b.part[i][1]};
+        a.vector[i] =
+            (row_vector){a.vector[i][0] < b.vector[i][0] ? a.vector[i][0] : b.vector[i][0],
+                         a.vector[i][1] < b.vector[i][1] ? a.vector[i][1] : b.vector[i][1]};
 #endif
     return a;
 }
 
 LANES_INLINE struct row row_max(struct row a, struct row b)
 {
-    for (int i = 0; i < ROW_PARTS; i++)
+    for (int i = 0; i < ROW_VECTORS; i++)
 #ifdef ROW_CALL
-        a.part[i] = ROW_CALL(max_pd)(a.part[i], b.part[i]);
+        a.vector[i] = ROW_CALL(max_pd)(a.vector[i], b.vector[i]);
 #else
-        a.part[i] = (row_part){a.part[i][0] > b.part[i][0] ? a.part[i][0] : b.part[i][0],
-                               a.part[i][1] > b.part[i][1] ? a.part[i][1] : b.part[i][1]};
+        a.vector[i] =
+            (row_vector){a.vector[i][0] > b.vector[i][0] ? a.vector[i][0] : b.vector[i][0],
+                         a.vector[i][1] > b.vector[i][1] ? a.vector[i][1] : b.vector[i][1]};
 #endif
     return a;
 }
@@ -272,11 +274,11 @@ LANES_INLINE struct row row_max(struct row a, struct row b)
 LANES_INLINE struct row row_rotate(struct row x)
 {
 #ifdef __AVX2__
-    x.part[0] = _mm256_permute4x64_pd(x.part[0], 0xc9);
+    x.vector[0] = _mm256_permute4x64_pd(x.vector[0], 0xc9);
     return x;
 #else
-    return (struct row){{__builtin_shufflevector(x.part[0], x.part[1], 1, 2),
-                         __builtin_shufflevector(x.part[0], x.part[1], 0, 3)}};
+    return (struct row){{__builtin_shufflevector(x.vector[0], x.vector[1], 1, 2),
+                         __builtin_shufflevector(x.vector[0], x.vector[1], 0, 3)}};
 #endif
 }
 
@@ -284,9 +286,9 @@ LANES_INLINE struct row row_rotate(struct row x)
 LANES_INLINE uint32_t row_signs(struct row x)
 {
 #ifdef __AVX2__
-    return (uint32_t)_mm256_movemask_pd(x.part[0]) & 7;
+    return (uint32_t)_mm256_movemask_pd(x.vector[0]) & 7;
 #elif defined __SSE2__
-    return (uint32_t)(_mm_movemask_pd(x.part[0]) | (_mm_movemask_pd(x.part[1]) & 1) << 2);
+    return (uint32_t)(_mm_movemask_pd(x.vector[0]) | (_mm_movemask_pd(x.vector[1]) & 1) << 2);
 #else
     uint64_t bits[3];
     for (int i = 0; i < 3; i++) {

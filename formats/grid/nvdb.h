@@ -120,10 +120,10 @@ struct fmt_nvdb_grid {
     struct fmt_nvdb_info info;
     const uint8_t *grid; /* GridData; offsets below are from here */
     uint64_t grid_bytes;
-    const uint8_t *root;  /* RootData */
-    const uint8_t *tiles; /* 32 bytes each, sorted by key: u64 key, i64 offset of its upper node
-                             from root */
-    uint32_t tile_count;  /* equal to upper_count */
+    const uint8_t *root;       /* RootData */
+    const uint8_t *root_tiles; /* 32 bytes each, sorted by key: u64 key, i64 offset of its upper
+                             node from root */
+    uint32_t root_tile_count;  /* equal to upper_count */
     const uint8_t *uppers, *lowers, *leaves;
     uint32_t upper_count, lower_count, leaf_count;
     uint32_t upper_bytes, lower_bytes;  /* size of one node */

@@ -10,9 +10,9 @@
 #include "base/parallel.h"
 #include "formats/grid/nvdb_writer_internal.h"
 
-/* Larger parts cost less per byte to write, as long as they stay in the processor's cache. A part
- * has space for an upper node. */
-enum { PART_BYTES = 1 << 19 };
+/* Larger buffers cost less per byte to write, as long as they stay in the processor's cache. A
+ * buffer has space for an upper node. */
+enum { BUFFER_BYTES = 1 << 19 };
 
 struct commit {
     struct fmt_nvdb_writer *writer;
@@ -20,7 +20,7 @@ struct commit {
     uint8_t *head; /* section NVDB_HEAD */
     struct nvdb_blind blind[NVDB_SECTION_COUNT];
     struct nvdb_trailer trailer;
-    uint8_t *parts; /* PART_BYTES for each worker */
+    uint8_t *buffers; /* BUFFER_BYTES for each worker */
 };
 
 /* A section that is being written. */
@@ -31,7 +31,7 @@ struct section {
     XXH3_state_t *hash;
     XXH3_state_t *read;             /* of the bytes of a stream that were read so far */
     struct bsq_spill_cursor cursor; /* in that stream */
-    uint8_t *part;
+    uint8_t *buffer;
 };
 
 /* ---- nodes ---- */
@@ -106,14 +106,14 @@ static int write_nodes(struct section *s, const struct nvdb_level *level)
     for (uint64_t at = 0; at < stream_bytes(stubs); at += stub_bytes) {
         struct nvdb_stub stub;
         BSQ_PASS(nvdb_read_stream(s, stubs, &stub, stub_bytes, at));
-        if (fill + level->node_bytes > PART_BYTES) {
-            BSQ_PASS(write_hashed(s, s->part, fill));
+        if (fill + level->node_bytes > BUFFER_BYTES) {
+            BSQ_PASS(write_hashed(s, s->buffer, fill));
             fill = 0;
         }
-        expand_node(level, s->at + fill, &stub, s->part + fill, &child);
+        expand_node(level, s->at + fill, &stub, s->buffer + fill, &child);
         fill += level->node_bytes;
     }
-    return write_hashed(s, s->part, fill);
+    return write_hashed(s, s->buffer, fill);
 }
 
 /* The first stream was hashed when it was written. */
@@ -122,9 +122,10 @@ static int write_streams(struct section *s, struct nvdb_stream streams[2])
     XXH3_copyState(s->hash, streams[0].written);
     for (int i = 0; i < 2; i++)
         for (uint64_t at = 0, size, bytes = stream_bytes(&streams[i]); at < bytes; at += size) {
-            size = bytes - at < PART_BYTES ? bytes - at : PART_BYTES;
-            BSQ_PASS(nvdb_read_stream(s, &streams[i], s->part, size, at));
-            BSQ_PASS(i == 0 ? nvdb_write_bytes(s, s->part, size) : write_hashed(s, s->part, size));
+            size = bytes - at < BUFFER_BYTES ? bytes - at : BUFFER_BYTES;
+            BSQ_PASS(nvdb_read_stream(s, &streams[i], s->buffer, size, at));
+            BSQ_PASS(i == 0 ? nvdb_write_bytes(s, s->buffer, size)
+                            : write_hashed(s, s->buffer, size));
         }
     return 0;
 }
@@ -162,7 +163,7 @@ static int write_section(void *arg, uint64_t number, unsigned worker)
     struct section s = {.commit = commit,
                         .number = (int)number,
                         .at = before,
-                        .part = commit->parts + worker * (uint64_t)PART_BYTES,
+                        .buffer = commit->buffers + worker * (uint64_t)BUFFER_BYTES,
                         .hash = XXH3_createState(),
                         .read = XXH3_createState()};
     int status = 0;
@@ -207,8 +208,8 @@ static void fill_head(const struct fmt_nvdb_writer *writer, const struct nvdb_la
                         head);
     uint64_t child = layout->section[NVDB_UPPERS].offset - NVDB_ROOT_OFFSET;
     for (uint32_t i = 0; i < writer->counts.uppers; i++) {
-        struct nvdb_tile tile = {.key = writer->keys[i], .child = (int64_t)child};
-        memcpy(head + layout->tiles + i * (uint64_t)sizeof(tile), &tile, sizeof(tile));
+        struct nvdb_root_tile tile = {.key = writer->keys[i], .child = (int64_t)child};
+        memcpy(head + layout->root_tiles + i * (uint64_t)sizeof(tile), &tile, sizeof(tile));
         child += sizeof(struct nvdb_upper);
     }
     uint32_t checksum[2] = {fmt_nvdb_head_crc(head, layout), UINT32_MAX};
@@ -226,14 +227,14 @@ static int nvdb_write_file(struct fmt_nvdb_writer *writer)
     fill_trailer(writer, &commit.trailer);
     BSQ_TRY(
         bsq_alloc(writer->ctx, "grid header", layout->section[NVDB_HEAD].size, 1, &commit.head));
-    BSQ_TRY(bsq_alloc(writer->ctx, "grid sections", bsq_threads(writer->ctx), PART_BYTES,
-                      &commit.parts));
+    BSQ_TRY(bsq_alloc(writer->ctx, "grid sections", bsq_threads(writer->ctx), BUFFER_BYTES,
+                      &commit.buffers));
     fill_head(writer, layout, commit.head);
     BSQ_TRY(bsq_output_expect(writer->output, layout->file_bytes));
     BSQ_TRY(bsq_parallel_for(writer->ctx, NVDB_TRAILER, write_section, &commit));
     status = write_section(&commit, NVDB_TRAILER, 0);
 done:
-    BSQ_FREE(writer->ctx, commit.parts, commit.head);
+    BSQ_FREE(writer->ctx, commit.buffers, commit.head);
     return status;
 }
 

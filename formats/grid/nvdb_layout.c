@@ -44,7 +44,7 @@ const struct nvdb_level fmt_nvdb_upper = {
     .section = NVDB_UPPERS,
     .child_section = NVDB_LOWERS,
     .words = 512,
-    .log2_slots = 5,
+    .log2_cells = 5,
     .dim = NVDB_UPPER_DIM,
     .child_dim = NVDB_LOWER_DIM,
     .node_bytes = sizeof(struct nvdb_upper),
@@ -55,7 +55,7 @@ const struct nvdb_level fmt_nvdb_lower = {
     .section = NVDB_LOWERS,
     .child_section = NVDB_LEAVES,
     .words = 64,
-    .log2_slots = 4,
+    .log2_cells = 4,
     .dim = NVDB_LOWER_DIM,
     .child_dim = NVDB_LEAF_DIM,
     .node_bytes = sizeof(struct nvdb_lower),
@@ -75,11 +75,12 @@ void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layou
     uint64_t blinds = 0, offset = 0;
     for (int i = NVDB_NORMALS; i < NVDB_SECTION_COUNT; i++)
         blinds += nvdb_has(counts->flags, i);
-    layout->tiles = NVDB_ROOT_OFFSET + (counts->type == FMT_NVDB_ONINDEX ? NVDB_ROOT_BYTES_ONINDEX
-                                                                         : NVDB_ROOT_BYTES_MASK);
+    layout->root_tiles =
+        NVDB_ROOT_OFFSET +
+        (counts->type == FMT_NVDB_ONINDEX ? NVDB_ROOT_BYTES_ONINDEX : NVDB_ROOT_BYTES_MASK);
     layout->record_count = 1 + counts->voxels + counts->seconds;
     const uint64_t size[NVDB_SECTION_COUNT] = {
-        [NVDB_HEAD] = layout->tiles + counts->uppers * (uint64_t)sizeof(struct nvdb_tile),
+        [NVDB_HEAD] = layout->root_tiles + counts->uppers * (uint64_t)sizeof(struct nvdb_root_tile),
         [NVDB_UPPERS] = counts->uppers * (uint64_t)sizeof(struct nvdb_upper),
         [NVDB_LOWERS] = counts->lowers * (uint64_t)sizeof(struct nvdb_lower),
         [NVDB_LEAVES] = counts->leaves * (uint64_t)sizeof(struct nvdb_leaf),
@@ -279,13 +280,13 @@ void fmt_nvdb_fill_fixed(const struct fmt_nvdb_info *info, const struct nvdb_cou
                          const struct nvdb_layout *layout, const int32_t bbox_min[3],
                          const int32_t bbox_max[3], uint8_t *head)
 {
-    struct nvdb_fixed fixed = {.root.tile_count = counts->uppers};
+    struct nvdb_fixed fixed = {.root.root_tile_count = counts->uppers};
     memcpy(fixed.root.bbox_min, bbox_min, sizeof fixed.root.bbox_min);
     memcpy(fixed.root.bbox_max, bbox_max, sizeof fixed.root.bbox_max);
     nvdb_fill_grid_data(info, counts, layout, &fixed.root, &fixed.grid);
     fill_tree(counts, layout, &fixed.tree);
     fmt_nvdb_fill_file_head(&fixed);
-    memset(head, 0, layout->tiles);
+    memset(head, 0, layout->root_tiles);
     memcpy(head, &fixed, sizeof fixed);
 }
 

@@ -56,7 +56,7 @@ struct nvdb_file_meta {
     double voxel_size[3];
     uint32_t name_bytes;
     uint32_t node_count[4]; /* leaf, lower, upper, root */
-    uint32_t tile_count[3];
+    uint32_t root_tile_count[3];
     uint16_t codec, padding;
     uint32_t version;
 };
@@ -86,14 +86,14 @@ struct nvdb_grid_data {
 struct nvdb_tree_data {
     uint64_t node_offset[4]; /* from TreeData to the first leaf, lower, upper, root */
     uint32_t node_count[3];
-    uint32_t tile_count[3];
+    uint32_t root_tile_count[3];
     uint64_t voxel_count;
 };
 
 /* The part of RootData that both types share; values (all zero) and padding follow. */
 struct nvdb_root {
     int32_t bbox_min[3], bbox_max[3];
-    uint32_t tile_count;
+    uint32_t root_tile_count;
 };
 enum { NVDB_ROOT_BYTES_MASK = 64, NVDB_ROOT_BYTES_ONINDEX = 96 };
 
@@ -108,10 +108,10 @@ struct nvdb_fixed {
 };
 enum {
     NVDB_ROOT_OFFSET = offsetof(struct nvdb_fixed, root),
-    NVDB_TILES_OFFSET_MAX = NVDB_ROOT_OFFSET + NVDB_ROOT_BYTES_ONINDEX
+    NVDB_ROOT_TILES_OFFSET_MAX = NVDB_ROOT_OFFSET + NVDB_ROOT_BYTES_ONINDEX
 };
 
-struct nvdb_tile {
+struct nvdb_root_tile {
     uint64_t key;
     int64_t child; /* from RootData */
     uint64_t values[2];
@@ -160,7 +160,7 @@ static_assert(offsetof(struct nvdb_grid_data, blind_offset) == 640, "GridData");
 static_assert(sizeof(struct nvdb_grid_data) == 672, "GridData");
 static_assert(sizeof(struct nvdb_tree_data) == 64, "TreeData");
 static_assert(sizeof(struct nvdb_root) == 28, "RootData");
-static_assert(sizeof(struct nvdb_tile) == 32, "RootData::Tile");
+static_assert(sizeof(struct nvdb_root_tile) == 32, "RootData::Tile");
 static_assert(sizeof(struct nvdb_upper) == 270400, "InternalData<5>");
 static_assert(sizeof(struct nvdb_lower) == 33856, "InternalData<4>");
 static_assert(offsetof(struct nvdb_upper, table) == 64 + 16 * 512, "InternalData<5>");
@@ -232,7 +232,7 @@ struct nvdb_range {
 
 struct nvdb_layout {
     struct nvdb_range section[NVDB_SECTION_COUNT];
-    uint64_t tiles; /* offset in the file */
+    uint64_t root_tiles; /* offset in the file */
     uint64_t record_count, file_bytes;
 };
 
@@ -291,7 +291,7 @@ struct nvdb_level {
     const char *name;
     enum nvdb_section section, child_section;
     uint32_t words;         /* of a mask */
-    uint32_t log2_slots;    /* children along the edge of a node */
+    uint32_t log2_cells;    /* children along the edge of a node */
     int32_t dim, child_dim; /* voxels along the edge of a node, and of a child */
     uint64_t node_bytes, child_bytes;
 };
@@ -338,8 +338,8 @@ static inline uint64_t nvdb_root_key(const int32_t ijk[3])
            (uint64_t)((uint32_t)ijk[2] >> 12);
 }
 
-/* Returns the slot of a voxel's lower node in its upper node. */
-static inline uint32_t nvdb_upper_slot(const int32_t ijk[3])
+/* Returns the cell of a voxel's lower node in its upper node. */
+static inline uint32_t nvdb_upper_cell(const int32_t ijk[3])
 {
     return ((uint32_t)ijk[0] >> 7 & 31) << 10 | ((uint32_t)ijk[1] >> 7 & 31) << 5 |
            ((uint32_t)ijk[2] >> 7 & 31);

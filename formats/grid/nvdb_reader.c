@@ -235,11 +235,11 @@ static int check_fixed(const struct head *h)
     const struct {
         uint64_t end;
         const char *name;
-    } parts[] = {{FMT_NVDB_GRID_OFFSET, "file header"},
-                 {offsetof(struct nvdb_fixed, tree), "GridData"},
-                 {NVDB_ROOT_OFFSET, "TreeData"},
-                 {h->layout.tiles, "RootData"}};
-    uint8_t expected[NVDB_TILES_OFFSET_MAX];
+    } ranges[] = {{FMT_NVDB_GRID_OFFSET, "file header"},
+                  {offsetof(struct nvdb_fixed, tree), "GridData"},
+                  {NVDB_ROOT_OFFSET, "TreeData"},
+                  {h->layout.root_tiles, "RootData"}};
+    uint8_t expected[NVDB_ROOT_TILES_OFFSET_MAX];
     const struct nvdb_map *map = &h->fixed.grid.map;
     struct fmt_nvdb_info info = {.voxel_size = map->matrix[0]};
     memcpy(info.translation, map->translation, sizeof(info.translation));
@@ -248,9 +248,9 @@ static int check_fixed(const struct head *h)
     memcpy(expected + crc_at, h->file + crc_at, sizeof(h->fixed.grid.checksum[0]));
     memset(expected + crc_at + 4, 0xff, sizeof(h->fixed.grid.checksum[1]));
     uint64_t begin = 0;
-    for (int i = 0; i < 4; begin = parts[i++].end)
-        if (memcmp(h->file + begin, expected + begin, parts[i].end - begin) != 0)
-            return damaged(h, parts[i].name);
+    for (int i = 0; i < 4; begin = ranges[i++].end)
+        if (memcmp(h->file + begin, expected + begin, ranges[i].end - begin) != 0)
+            return damaged(h, ranges[i].name);
     return 0;
 }
 
@@ -294,11 +294,11 @@ static void fill_grid(const struct head *h, struct fmt_nvdb_grid *grid)
     grid->grid = h->file + FMT_NVDB_GRID_OFFSET;
     grid->grid_bytes = fixed->grid.grid_bytes;
     grid->root = h->file + NVDB_ROOT_OFFSET;
-    grid->tiles = h->file + h->layout.tiles;
+    grid->root_tiles = h->file + h->layout.root_tiles;
     grid->uppers = nvdb_section_of(h, NVDB_UPPERS);
     grid->lowers = nvdb_section_of(h, NVDB_LOWERS);
     grid->leaves = nvdb_section_of(h, NVDB_LEAVES);
-    grid->tile_count = grid->upper_count = counts->uppers;
+    grid->root_tile_count = grid->upper_count = counts->uppers;
     grid->lower_count = counts->lowers;
     grid->leaf_count = counts->leaves;
     grid->upper_bytes = sizeof(struct nvdb_upper);

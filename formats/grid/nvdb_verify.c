@@ -76,14 +76,14 @@ static uint64_t child_count(const struct check *c, const struct nvdb_level *leve
     return is_upper(level) ? c->grid->lower_count : c->grid->leaf_count;
 }
 
-/* Returns the number, within the level below, of the child that a slot of the table names. A wrong
+/* Returns the number, within the level below, of the child that a cell of the table names. A wrong
  * offset gives a number that no child has. */
 static uint64_t verify_child_of(const struct check *c, const struct nvdb_level *level,
-                                const struct nvdb_node *node, uint32_t slot)
+                                const struct nvdb_node *node, uint32_t cell)
 {
     const uint8_t *below = verify_section_of(c, level->child_section);
     const uint64_t base = (uint64_t)(below - (const uint8_t *)node);
-    const uint64_t distance = (uint64_t)nvdb_table(level, node)[slot] - base;
+    const uint64_t distance = (uint64_t)nvdb_table(level, node)[cell] - base;
     return distance % level->child_bytes == 0 ? distance / level->child_bytes : UINT64_MAX;
 }
 
@@ -109,12 +109,12 @@ static void node_origin(const int32_t bbox_min[3], int32_t dim, int32_t origin[3
         origin[axis] = (int32_t)((uint32_t)bbox_min[axis] & ~((uint32_t)dim - 1));
 }
 
-/* Sets the origin of the child in `slot` of a node at `origin`. */
-static void child_origin(const struct nvdb_level *level, const int32_t origin[3], uint32_t slot,
+/* Sets the origin of the child in `cell` of a node at `origin`. */
+static void child_origin(const struct nvdb_level *level, const int32_t origin[3], uint32_t cell,
                          int32_t out[3])
 {
-    const uint32_t bits = level->log2_slots, low = (1u << bits) - 1;
-    const uint32_t step[3] = {slot >> 2 * bits, slot >> bits & low, slot & low};
+    const uint32_t bits = level->log2_cells, low = (1u << bits) - 1;
+    const uint32_t step[3] = {cell >> 2 * bits, cell >> bits & low, cell & low};
     for (int axis = 0; axis < 3; axis++)
         out[axis] = (int32_t)((uint32_t)origin[axis] + step[axis] * (uint32_t)level->child_dim);
 }
@@ -175,11 +175,11 @@ static int check_children(const struct check *c, const struct nvdb_level *level,
         return bad_node(c, level->name, number, "child");
     for (uint32_t word = 0; word < level->words; word++)
         for (uint64_t bits = mask[word]; bits; bits &= bits - 1, child++) {
-            const uint32_t slot = 64 * word + (uint32_t)__builtin_ctzll(bits);
+            const uint32_t cell = 64 * word + (uint32_t)__builtin_ctzll(bits);
             int32_t place[3];
-            if (child >= child_count(c, level) || verify_child_of(c, level, node, slot) != child)
+            if (child >= child_count(c, level) || verify_child_of(c, level, node, cell) != child)
                 return bad_node(c, level->name, number, "child");
-            child_origin(level, origin, slot, place);
+            child_origin(level, origin, cell, place);
             BSQ_PASS(is_upper(level) ? check_place(c, child, place, bbox_min, bbox_max)
                                      : check_leaf(c, child, place, bbox_min, bbox_max));
         }
@@ -198,8 +198,8 @@ static int check_node(const struct check *c, const struct nvdb_level *level, uin
     if (!verify_all_zero(nvdb_value_mask(node), level->words) ||
         first_child(c, level, number) == UINT64_MAX)
         return bad_node(c, level->name, number, "child");
-    const struct nvdb_tile *tiles = (const void *)c->grid->tiles;
-    if (is_upper(level) && nvdb_root_key(origin) != tiles[number].key)
+    const struct nvdb_root_tile *root_tiles = (const void *)c->grid->root_tiles;
+    if (is_upper(level) && nvdb_root_key(origin) != root_tiles[number].key)
         return bad_node(c, level->name, number, "place");
     return check_children(c, level, number, origin);
 }
@@ -240,8 +240,9 @@ static int check_root(const struct check *c)
     int32_t bbox_min[3], bbox_max[3];
     fmt_nvdb_bbox_clear(bbox_min, bbox_max);
     uint64_t child = (uint64_t)(grid->uppers - grid->root);
-    for (uint32_t i = 0; i < grid->tile_count; i++) {
-        const struct nvdb_tile *tile = (const struct nvdb_tile *)(const void *)grid->tiles + i;
+    for (uint32_t i = 0; i < grid->root_tile_count; i++) {
+        const struct nvdb_root_tile *tile =
+            (const struct nvdb_root_tile *)(const void *)grid->root_tiles + i;
         if ((i > 0 && tile->key <= tile[-1].key) || tile->child != (int64_t)child ||
             !verify_all_zero(tile->values, 2))
             return bsq_fail(c->ctx, BSQ_EDATA, "%s: damaged: root tile %" PRIu32 " is wrong",

@@ -18,13 +18,13 @@ enum { PAGE_BYTES = 1 << 18 }; /* of streams */
 /* ---- streams ---- */
 
 /* Opens a stream of a section. Its page comes now, before others divide the memory. */
-static int nvdb_open_stream(struct fmt_nvdb_writer *writer, int section, int part)
+static int nvdb_open_stream(struct fmt_nvdb_writer *writer, int section, int half)
 {
-    struct nvdb_stream *stream = &writer->stream[section][part];
+    struct nvdb_stream *stream = &writer->stream[section][half];
     uint8_t *at;
     uint64_t capacity;
     *stream = (struct nvdb_stream){.spill = &writer->spill,
-                                   .number = (uint32_t)(2 * section + part),
+                                   .number = (uint32_t)(2 * section + half),
                                    .written = XXH3_createState()};
     if (!stream->written)
         return bsq_fail(writer->ctx, BSQ_ENOMEM, "no memory for a checksum");
@@ -37,14 +37,14 @@ static int nvdb_put(struct nvdb_stream *stream, const void *bytes, uint64_t size
 {
     const struct bsq_spill_stream *page = &stream->spill->list[stream->number];
     const uint8_t *from = bytes;
-    for (uint64_t part; size > 0; from += part, size -= part) {
+    for (uint64_t step; size > 0; from += step, size -= step) {
         const uint64_t space = PAGE_BYTES - page->fill;
-        part = size < space ? size : space;
-        if (part == space) {
+        step = size < space ? size : space;
+        if (step == space) {
             XXH3_64bits_update(stream->written, page->buffer, page->fill);
-            XXH3_64bits_update(stream->written, from, part);
+            XXH3_64bits_update(stream->written, from, step);
         }
-        BSQ_PASS(bsq_spill_add(stream->spill, stream->number, from, part));
+        BSQ_PASS(bsq_spill_add(stream->spill, stream->number, from, step));
     }
     return 0;
 }
@@ -191,7 +191,7 @@ static bool is_open(const struct fmt_nvdb_writer *writer, const int32_t origin[3
 {
     uint32_t count = writer->counts.uppers;
     return count > 0 && writer->keys[count - 1] == nvdb_root_key(origin) &&
-           writer->last_slot == nvdb_upper_slot(origin);
+           writer->last_cell == nvdb_upper_cell(origin);
 }
 
 /* Checks the order, leaves and counts of a region before anything of it is kept. */
@@ -202,7 +202,7 @@ static int check_region(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_re
         return fail_region(writer, region, "origin is not a multiple of 128");
     if (writer->counts.uppers) {
         uint64_t key = nvdb_root_key(origin), last = writer->keys[writer->counts.uppers - 1];
-        bool before = key < last || (key == last && nvdb_upper_slot(origin) < writer->last_slot);
+        bool before = key < last || (key == last && nvdb_upper_cell(origin) < writer->last_cell);
         if (before || (is_open(writer, origin) && region->leaf_count > 0 &&
                        region->leaf_ids[0] <= writer->last_leaf))
             return fail_region(writer, region, "out of order");
@@ -286,13 +286,13 @@ static int open_upper(struct fmt_nvdb_writer *writer, const int32_t origin[3])
 /* Opens the nodes of a region unless they are open already. */
 static int open_region(struct fmt_nvdb_writer *writer, const int32_t origin[3])
 {
-    const uint32_t slot = nvdb_upper_slot(origin);
+    const uint32_t cell = nvdb_upper_cell(origin);
     if (is_open(writer, origin))
         return 0;
     BSQ_PASS(close_lower(writer));
     BSQ_PASS(open_upper(writer, origin));
-    writer->last_slot = slot;
-    writer->upper.child_mask[slot >> 6] |= UINT64_C(1) << (slot & 63);
+    writer->last_cell = cell;
+    writer->upper.child_mask[cell >> 6] |= UINT64_C(1) << (cell & 63);
     memset(&writer->lower, 0, sizeof writer->lower);
     fmt_nvdb_bbox_clear(writer->lower.bbox_min, writer->lower.bbox_max);
     writer->counts.lowers++;

@@ -43,7 +43,7 @@ struct fmt_nvdb_writer {
     struct nvdb_stub upper,
         lower;          /* the open nodes, if there are any; the upper one of the last key
                          */
-    uint32_t last_slot; /* of the open lower node in the upper node */
+    uint32_t last_cell; /* of the open lower node in the upper node */
     uint32_t last_leaf; /* number of the last leaf in the lower node */
 
     struct nvdb_counts counts;

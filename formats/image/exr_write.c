@@ -154,7 +154,7 @@ static exr_result_t make_header(exr_context_t file, const struct channel *channe
                                 const struct fmt_image_options *options)
 {
     int part;
-    const uint32_t side = options->tile_side;
+    const uint32_t side = options->exr_tile_side;
     exr_result_t r =
         exr_add_part(file, NULL, side > 0 ? EXR_STORAGE_TILED : EXR_STORAGE_SCANLINE, &part);
     if (r == EXR_ERR_SUCCESS)
@@ -191,7 +191,7 @@ static int exr_out_create_encoder(struct fmt_image_writer *base, void *memory)
     struct encoder *encoder = memory;
     struct bsq_ctx *ctx = base->ctx;
     const uint64_t texels =
-        (uint64_t)base->block_rows * (base->tile_side > 0 ? base->tile_side : base->width);
+        (uint64_t)base->block_rows * (base->exr_tile_side > 0 ? base->exr_tile_side : base->width);
     const uint64_t bytes =
         texels * base->channel_count * (((struct exr_writer *)base)->as_half ? 2 : sizeof(float));
     BSQ_PASS(bsq_alloc(ctx, "EXR block", bytes, 1, &encoder->chunk));
@@ -233,7 +233,7 @@ static int exr_out_encode_block(struct fmt_image_writer *base, void *memory,
 {
     const struct exr_writer *writer = (struct exr_writer *)base;
     struct encoder *encoder = memory;
-    const uint32_t channels = base->channel_count, side = base->tile_side;
+    const uint32_t channels = base->channel_count, side = base->exr_tile_side;
     const uint32_t left = base->width - block->column * side;
     const uint32_t width = side > 0 && side < left ? side : left;
     uint8_t *to = encoder->chunk;
@@ -254,7 +254,7 @@ static int exr_out_emit_block(struct fmt_image_writer *base, void *memory,
 {
     struct exr_writer *writer = (struct exr_writer *)base;
     const struct encoder *encoder = memory;
-    const uint32_t side = base->tile_side;
+    const uint32_t side = base->exr_tile_side;
     exr_result_t r =
         side > 0 ? exr_write_tile_chunk(writer->file, 0, (int)block->column,
                                         (int)(block->first_row / side), 0, 0, encoder->packed,
@@ -299,7 +299,7 @@ static int exr_out_create_image(struct fmt_image_writer *base,
     writer->as_half = options->type == FMT_HALF;
     writer->y = options->y;
     BSQ_PASS(exr_out_name_channels(writer, options));
-    base->block_rows = options->tile_side > 0 ? options->tile_side : ZIP_ROWS;
+    base->block_rows = options->exr_tile_side > 0 ? options->exr_tile_side : ZIP_ROWS;
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
     init.error_handler_fn = leave_to_caller;
     init.user_data = writer;

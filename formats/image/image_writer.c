@@ -41,14 +41,14 @@ int fmt_image_check_type(struct bsq_ctx *ctx, const struct fmt_image_format *for
 }
 
 int fmt_image_check_tiles(struct bsq_ctx *ctx, const struct fmt_image_format *format,
-                          const char *path, uint32_t tile_side)
+                          const char *path, uint32_t exr_tile_side)
 {
-    if (tile_side > 0 && !format->tiles)
+    if (exr_tile_side > 0 && !format->tiles)
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: %s files have no tiles", path, format->name);
-    return tile_side <= FMT_MAX_TILE_SIDE
+    return exr_tile_side <= FMT_MAX_TILE_SIDE
                ? 0
                : bsq_fail(ctx, BSQ_EUSAGE, "%s: tiles of %u x %u texels: at most %d", path,
-                          tile_side, tile_side, FMT_MAX_TILE_SIDE);
+                          exr_tile_side, exr_tile_side, FMT_MAX_TILE_SIDE);
 }
 
 /* ---- creating ---- */
@@ -56,7 +56,7 @@ int fmt_image_check_tiles(struct bsq_ctx *ctx, const struct fmt_image_format *fo
 /* Returns the number of columns of blocks. */
 static uint32_t columns_of(const struct fmt_image_writer *writer)
 {
-    return writer->tile_side > 0 ? (writer->width - 1) / writer->tile_side + 1 : 1;
+    return writer->exr_tile_side > 0 ? (writer->width - 1) / writer->exr_tile_side + 1 : 1;
 }
 
 static struct slot *slot_at(const struct fmt_image_writer *writer, unsigned i)
@@ -101,7 +101,7 @@ int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format,
                         options->height);
     int status = fmt_image_check_type(ctx, format, path, options->type);
     if (status == 0)
-        status = fmt_image_check_tiles(ctx, format, path, options->tile_side);
+        status = fmt_image_check_tiles(ctx, format, path, options->exr_tile_side);
     if (status < 0)
         return status;
     void *memory;
@@ -112,7 +112,7 @@ int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format,
     writer->width = options->width;
     writer->height = options->height;
     writer->channel_count = options->channel_count;
-    writer->tile_side = options->tile_side;
+    writer->exr_tile_side = options->exr_tile_side;
     status = image_start(writer, path, options);
     if (status < 0)
         fmt_image_discard(writer);
@@ -147,7 +147,7 @@ static int take_block(void *arg, void *slot, uint64_t sequence)
     block->rows = left < writer->block_rows ? left : writer->block_rows;
     block->first_row = writer->rows_encoded;
     block->column = batch->columns_taken;
-    block->samples = row + (size_t)block->column * writer->tile_side * writer->channel_count;
+    block->samples = row + (size_t)block->column * writer->exr_tile_side * writer->channel_count;
     block->above = batch->rows_taken > 0  ? row - image_row_samples(writer)
                    : block->first_row > 0 ? writer->above
                                           : NULL;

@@ -37,7 +37,7 @@ struct fmt_image_options {
      * says that they are no colour, so that readers do not transform them. */
     bool color;
     /* Side of the tiles that the file is made of, to FMT_MAX_TILE_SIDE; 0: it is made of rows. */
-    uint32_t tile_side;
+    uint32_t exr_tile_side;
     bool rounded; /* 8-bit samples are rounded to nearest, and not dithered */
     /* The file is a temporary one beside the path, for fmt_image_hand_over() and
      * bsq_output_keep_temp(). */
@@ -96,8 +96,8 @@ struct fmt_image_writer {
     struct bsq_output *output;
     char *path; /* the final name, for messages */
     uint32_t width, height, channel_count;
-    uint32_t tile_side;  /* 0: blocks are rows */
-    uint32_t block_rows; /* rows that the format compresses together */
+    uint32_t exr_tile_side; /* 0: blocks are rows */
+    uint32_t block_rows;    /* rows that the format compresses together */
     uint32_t rows_taken, rows_encoded;
     uint32_t pending_rows;
     float *pending; /* rows that do not fill a block yet */
@@ -121,7 +121,7 @@ int fmt_image_check_type(struct bsq_ctx *ctx, const struct fmt_image_format *for
 
 /* Checks that a format can store tiles of this side, or rows if it is 0. Errors: BSQ_EUSAGE. */
 int fmt_image_check_tiles(struct bsq_ctx *ctx, const struct fmt_image_format *format,
-                          const char *path, uint32_t tile_side);
+                          const char *path, uint32_t exr_tile_side);
 
 /* Starts the file `path`. Errors: BSQ_EUSAGE for a size, channels, a sample type or tiles that the
  * format cannot store, BSQ_ECANTCREAT, BSQ_ENOMEM. */

@@ -1,5 +1,5 @@
-// gltf_decode.cc - the program bisque-gltf, which decompresses parts of glTF files by meshoptimizer
-// and Draco.
+// gltf_decode.cc - the program bisque-gltf, which decompresses blocks of glTF files by
+// meshoptimizer and Draco.
 //
 // gltf_packed.c runs it: damaged data make Draco take any amount of memory and time. So it has
 // limits of both, and can open no file. gltf_task.h describes its standard input and output.
@@ -20,7 +20,7 @@
 namespace
 {
 
-// Decode a part of a file into its task's number of bytes. Return NULL, or what is wrong.
+// Decode a block of a file into its task's number of bytes. Return NULL, or what is wrong.
 
 const char *decode_meshopt(const gltf_packed &view, const uint8_t *from, uint8_t *to)
 {
@@ -128,7 +128,7 @@ const char *decode_draco(const gltf_packed &task, const uint8_t *from, uint8_t *
 
 // ---- tasks ----
 
-// Decodes a part, and writes what it becomes.
+// Decodes a block, and writes what it becomes.
 void run(const gltf_packed &task, const uint8_t *from)
 {
     std::vector<uint8_t> out(task.bytes);

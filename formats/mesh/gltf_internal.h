@@ -2,7 +2,7 @@
  *
  * A file's JSON is turned into the tables below when it is opened, and then freed. Everything that
  * they refer to has been checked: indices are in range, and ranges of bytes lie inside of their
- * buffers. The buffers themselves are read in parts. */
+ * buffers. The buffers themselves are read in blocks. */
 #ifndef FMT_MESH_GLTF_INTERNAL_H
 #define FMT_MESH_GLTF_INTERNAL_H
 
@@ -164,7 +164,7 @@ struct gltf_source {
     struct gltf_packed *packed;
     uint64_t view_capacity, packed_capacity;
     uint32_t packed_count;
-    struct gltf_buffer decoded; /* temporary: what the compressed parts are, one after the other */
+    struct gltf_buffer decoded; /* temporary: what the compressed arrays are, one after the other */
     struct gltf_accessor *accessors;
     struct gltf_primitive *primitives;
     struct gltf_mesh *meshes;

@@ -15,9 +15,9 @@
 enum { GLTF_CLAMP = 33071, GLTF_MIRROR = 33648 };
 
 /* Describes the data of a view: bytes of a file. Returns its path, NULL if it is packed. */
-static const char *part_of_view(const struct gltf_document *document,
-                                const struct gltf_source *source, uint32_t number,
-                                struct fmt_extent *out)
+static const char *range_of_view(const struct gltf_document *document,
+                                 const struct gltf_source *source, uint32_t number,
+                                 struct fmt_extent *out)
 {
     const struct gltf_view *view = &source->views[number];
     const struct gltf_buffer *buffer = &source->buffers[view->buffer];
@@ -45,7 +45,7 @@ static int find_image(const struct gltf_item *item, struct gltf_source *source, 
     if (view != GLTF_NONE && source->views[view].buffer == GLTF_NONE)
         return fmt_gltf_fail(item, "an image in a compressed view");
     if (view != GLTF_NONE) {
-        const char *path = part_of_view(d, source, view, &extent);
+        const char *path = range_of_view(d, source, view, &extent);
         source->unread.packed_images += !path;
         return path ? fmt_extent_name(d->ctx, path, &extent, out) : 0;
     }

@@ -1,8 +1,8 @@
-/* gltf_packed.c - compressed parts of glTF files: EXT_meshopt_compression and
+/* gltf_packed.c - compressed arrays of glTF files: EXT_meshopt_compression and
  * KHR_draco_mesh_compression.
  *
  * Both are decoded whole, one after the other, before a file is read for the first time. What comes
- * out goes to a temporary file, whose parts are then read like those of a buffer. So memory is
+ * out goes to a temporary file, whose blocks are then read like those of a buffer. So memory is
  * needed for one compressed view or mesh at a time.
  *
  * The program bisque-gltf decodes: a mesh of 144 bytes makes Draco take 16 GB. */
@@ -204,7 +204,7 @@ int fmt_gltf_read_draco(const struct gltf_item *item, struct gltf_source *source
  * for each BYTES_A_SECOND of what comes out. */
 enum { LEAST_SECONDS = 20, BYTES_A_SECOND = 1 << 20 };
 
-/* Appends a part to the program's input. */
+/* Appends a block to the program's input. */
 static int add_task(struct bsq_ctx *ctx, const struct gltf_source *source,
                     const struct gltf_packed *packed, struct bsq_file *input)
 {

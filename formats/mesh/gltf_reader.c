@@ -1,7 +1,7 @@
-/* gltf_reader.c - reads glTF 2.0 files, .gltf and GLB, as an ordered stream of parsed parts.
+/* gltf_reader.c - reads glTF 2.0 files, .gltf and GLB, as an ordered stream of parsed blocks.
  *
- * A file's JSON says where its elements are, so parts are cut without reading anything: first all
- * vertices, then all faces, each in the order of nodes and primitives. Buffers are read in parts,
+ * A file's JSON says where its elements are, so blocks are cut without reading anything: first all
+ * vertices, then all faces, each in the order of nodes and primitives. Buffers are read in blocks,
  * and memory does not grow with them. */
 #include <inttypes.h>
 #include <math.h>
@@ -104,72 +104,72 @@ static void end(struct stream_source *source)
 
 /* ---- cutting ---- */
 
-/* What a part holds: stream_part.kind is its placement, .carry its primitive, .carry_out this. */
+/* What a block holds: stream_block.kind is its placement, .carry its primitive, .carry_out this. */
 enum { GLTF_VERTICES, GLTF_FACES };
 
-static uint64_t count_items(const struct gltf_source *source, const struct stream_part *part)
+static uint64_t count_items(const struct gltf_source *source, const struct stream_block *block)
 {
-    const struct gltf_primitive *p = &source->primitives[part->carry];
-    return part->carry_out == GLTF_FACES ? p->triangles
-                                         : gltf_accessor_of(source, p, GLTF_POSITION)->count;
+    const struct gltf_primitive *p = &source->primitives[block->carry];
+    return block->carry_out == GLTF_FACES ? p->triangles
+                                          : gltf_accessor_of(source, p, GLTF_POSITION)->count;
 }
 
 /* Goes on to the next primitive, placement or kind of elements. Returns false at the end. */
-static bool advance(const struct gltf_source *source, struct stream_part *part)
+static bool advance(const struct gltf_source *source, struct stream_block *block)
 {
-    const struct gltf_mesh *mesh = &source->meshes[source->placements[part->kind].mesh];
-    part->first_item = 0;
-    if (++part->carry < mesh->first + mesh->count)
+    const struct gltf_mesh *mesh = &source->meshes[source->placements[block->kind].mesh];
+    block->first_item = 0;
+    if (++block->carry < mesh->first + mesh->count)
         return true;
-    if (++part->kind == source->placement_count) {
-        part->kind = 0;
-        part->carry_out++;
+    if (++block->kind == source->placement_count) {
+        block->kind = 0;
+        block->carry_out++;
     }
-    part->carry = source->meshes[source->placements[part->kind].mesh].first;
-    return part->carry_out <= GLTF_FACES;
+    block->carry = source->meshes[source->placements[block->kind].mesh].first;
+    return block->carry_out <= GLTF_FACES;
 }
 
-/* Returns how many elements a part has: its bytes, and the arrays that they become, fit a core's
+/* Returns how many elements a block has: its bytes, and the arrays that they become, fit a core's
  * cache. */
-static uint64_t usual_items(const struct gltf_source *source, const struct stream_part *part)
+static uint64_t usual_items(const struct gltf_source *source, const struct stream_block *block)
 {
-    const struct gltf_primitive *p = &source->primitives[part->carry];
+    const struct gltf_primitive *p = &source->primitives[block->carry];
     uint64_t bytes = 32;
-    if (part->carry_out == GLTF_FACES)
-        return STREAM_PART_BYTES / 24 + 1;
+    if (block->carry_out == GLTF_FACES)
+        return STREAM_BLOCK_BYTES / 24 + 1;
     for (int use = 0; use < GLTF_INDEX; use++) {
         const struct gltf_accessor *a = gltf_accessor_of(source, p, (enum gltf_use)use);
         const uint64_t stride = a ? fmt_gltf_stride(source, a) : 0;
         bytes = stride > bytes ? stride : bytes;
     }
-    return STREAM_PART_BYTES / bytes + 1;
+    return STREAM_BLOCK_BYTES / bytes + 1;
 }
 
-/* The bytes of the file are shared out by elements, as a measure of progress. part->left counts the
- * elements of this and of earlier parts. */
-static int cut(const struct stream_part *before, struct stream_slot *slot)
+/* The bytes of the file are shared out by elements, as a measure of progress. block->left counts
+ * the elements of this and of earlier blocks. */
+static int cut(const struct stream_block *before, struct stream_slot *slot)
 {
     const struct gltf_source *source = slot->source->data;
     const uint64_t size = source->size;
     const uint64_t all = source->total[FMT_MESH_VERTEX] + source->triangles;
-    struct stream_part *part = &slot->part;
+    struct stream_block *block = &slot->block;
     if (before->left == all && (all > 0 || before->end > 0))
         return 0;
     slot->loaded = true; /* parsing reads what it needs */
-    *part = *before;
-    part->end = size;
+    *block = *before;
+    block->end = size;
     if (all == 0)
         return 1;
-    part->first_item += before->items;
+    block->first_item += before->items;
     if (before->left == 0)
-        part->carry = source->meshes[source->placements[0].mesh].first;
-    else if (part->first_item == count_items(source, part))
-        advance(source, part);
-    const uint64_t rest = count_items(source, part) - part->first_item;
-    const uint64_t usual = usual_items(source, part);
-    part->items = rest < usual ? rest : usual;
-    part->left = before->left + part->items;
-    part->end = (uint64_t)((unsigned __int128)size * part->left / all);
+        block->carry = source->meshes[source->placements[0].mesh].first;
+    else if (block->first_item == count_items(source, block))
+        advance(source, block);
+    const uint64_t rest = count_items(source, block) - block->first_item;
+    const uint64_t usual = usual_items(source, block);
+    block->items = rest < usual ? rest : usual;
+    block->left = before->left + block->items;
+    block->end = (uint64_t)((unsigned __int128)size * block->left / all);
     return 1;
 }
 
@@ -177,7 +177,7 @@ static int cut(const struct stream_part *before, struct stream_slot *slot)
  *
  * A vertex or triangle is read again for each node that places its mesh. */
 
-/* What a part belongs to. */
+/* What a block belongs to. */
 struct parser {
     struct stream_slot *slot;
     const struct gltf_source *source;
@@ -187,7 +187,7 @@ struct parser {
     struct mesh_arrays *arrays;
 };
 
-/* Decodes an attribute of the part's vertices. */
+/* Decodes an attribute of the block's vertices. */
 static int decode(const struct parser *p, enum gltf_use use, const double **out)
 {
     return fmt_gltf_decode(p->slot, p->primitive->accessors[use], p->first, p->count, out);
@@ -357,7 +357,7 @@ static void add_triangle(const struct parser *p, const uint64_t corners[3],
     a->face_sizes[a->face_count++] = 3;
 }
 
-/* Adds the triangles of the part. In strips and fans, triangles that name a vertex twice only
+/* Adds the triangles of the block. In strips and fans, triangles that name a vertex twice only
  * connect others; they are left out. */
 static int add_triangles(const struct parser *p, const struct window *w)
 {
@@ -422,7 +422,7 @@ static int parse_faces(struct parser *p)
     return 0;
 }
 
-/* ---- parts ---- */
+/* ---- blocks ---- */
 
 static int parse(struct stream_slot *slot)
 {
@@ -430,15 +430,15 @@ static int parse(struct stream_slot *slot)
     struct parser p = {
         .slot = slot,
         .source = source,
-        .first = slot->part.first_item,
-        .count = slot->part.items,
+        .first = slot->block.first_item,
+        .count = slot->block.items,
         .arrays = &slot->arrays,
     };
     if (p.count == 0)
         return 0;
-    p.placement = &source->placements[slot->part.kind];
-    p.primitive = &source->primitives[slot->part.carry];
-    return slot->part.carry_out == GLTF_VERTICES ? parse_vertices(&p) : parse_faces(&p);
+    p.placement = &source->placements[slot->block.kind];
+    p.primitive = &source->primitives[slot->block.carry];
+    return slot->block.carry_out == GLTF_VERTICES ? parse_vertices(&p) : parse_faces(&p);
 }
 
 /* ---- reading ---- */

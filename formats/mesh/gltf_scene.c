@@ -215,7 +215,7 @@ struct walk {
     struct gltf_source *source;
     struct visit *stack;
     uint64_t stack_count, node_count;
-    uint8_t *seen; /* for each node */
+    uint8_t *visited; /* for each node */
 };
 
 static const double identity[3][4] = {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}};
@@ -379,9 +379,9 @@ static int push_nodes(struct walk *w, const struct gltf_item *item, const json_t
         if (w->node_count == 0 ||
             !fmt_gltf_whole(json_array_get(list, i), w->node_count - 1, &node))
             return fmt_gltf_fail(item, "refers to a node that does not exist");
-        if (w->seen[node])
+        if (w->visited[node])
             return fmt_gltf_fail(item, "nodes[%" PRIu64 "] occurs twice in the hierarchy", node);
-        w->seen[node] = 1;
+        w->visited[node] = 1;
         struct visit *visit = &w->stack[w->stack_count++];
         visit->node = (uint32_t)node;
         memcpy(visit->matrix, matrix, sizeof visit->matrix);
@@ -422,7 +422,7 @@ static int visit_all_roots(struct walk *w, uint8_t *is_child)
     for (uint64_t i = 0; i < w->node_count; i++) {
         if (is_child[i])
             continue;
-        w->seen[i] = 1;
+        w->visited[i] = 1;
         w->stack[0].node = (uint32_t)i;
         memcpy(w->stack[0].matrix, identity, sizeof identity);
         w->stack_count = 1;
@@ -450,7 +450,7 @@ static void count_outside(struct walk *w)
         const json_t *mesh =
             json_object_get(fmt_gltf_element(w->document, "nodes", i).object, "mesh");
         uint64_t number;
-        source->unread.outside += !w->seen[i] && mesh != NULL;
+        source->unread.outside += !w->visited[i] && mesh != NULL;
         if (mesh && source->mesh_count > 0 && fmt_gltf_whole(mesh, source->mesh_count - 1, &number))
             source->meshes[number].named = true;
     }
@@ -477,15 +477,15 @@ int fmt_gltf_read_scene(struct gltf_document *document, struct gltf_source *sour
     int status;
     BSQ_TRY(BSQ_CALLOC(ctx, "glTF nodes", most + 1, &source->placements));
     BSQ_TRY(BSQ_CALLOC(ctx, "glTF nodes", w.node_count + 1, &w.stack));
-    BSQ_TRY(bsq_calloc(ctx, "glTF nodes", w.node_count + 1, 2, &w.seen));
+    BSQ_TRY(bsq_calloc(ctx, "glTF nodes", w.node_count + 1, 2, &w.visited));
     if (w.node_count == 0)
         BSQ_TRY(place_all(&w));
     else if (fmt_gltf_count(document, "scenes") == 0)
-        BSQ_TRY(visit_all_roots(&w, w.seen + w.node_count));
+        BSQ_TRY(visit_all_roots(&w, w.visited + w.node_count));
     else
         BSQ_TRY(visit_scene(&w));
     count_outside(&w);
 done:
-    BSQ_FREE(ctx, w.stack, w.seen);
+    BSQ_FREE(ctx, w.stack, w.visited);
     return status;
 }

@@ -1,5 +1,5 @@
 /* gltf_task.h - private to formats/mesh: what the program bisque-gltf gets, which decompresses
- * parts of glTF files by meshoptimizer and Draco. */
+ * arrays of glTF files by meshoptimizer and Draco. */
 #ifndef FMT_MESH_GLTF_TASK_H
 #define FMT_MESH_GLTF_TASK_H
 

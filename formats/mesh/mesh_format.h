@@ -2,11 +2,12 @@
  *
  * A format is one source file that defines a `struct fmt_mesh_format`, and one row below. All files
  * of a scan are read as one stream (mesh_stream.c), whatever their formats. A format cuts a file
- * into parts, serially and in order, and parses each part alone, on any thread. The stream does the
- * rest: it opens the files, runs the pipeline, counts elements, moves meshes, and finds the part
- * that holds a face again. What depends on earlier parts is done when the parts pass in order.
+ * into blocks, serially and in order, and parses each block alone, on any thread. The stream does
+ * the rest: it opens the files, runs the pipeline, counts elements, moves meshes, and finds the
+ * block that holds a face again. What depends on earlier blocks is done when the blocks pass in
+ * order.
  *
- * A part becomes one batch. Parts are the same for each reading, any budget and any number of
+ * A block becomes one batch. Blocks are the same for each reading, any budget and any number of
  * threads. They take up to about 4 MiB. */
 #ifndef FMT_MESH_FORMAT_H
 #define FMT_MESH_FORMAT_H
@@ -15,12 +16,12 @@
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
 
-/* Bytes of a file that one part has, as a rule. The part and what is parsed from it fit a core's
+/* Bytes of a file that one block has, as a rule. The block and what is parsed from it fit a core's
  * cache. Fuzz targets cut their small files too. */
 #ifdef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION
-#define STREAM_PART_BYTES ((uint64_t)48)
+#define STREAM_BLOCK_BYTES ((uint64_t)48)
 #else
-#define STREAM_PART_BYTES ((uint64_t)256 << 10)
+#define STREAM_BLOCK_BYTES ((uint64_t)256 << 10)
 #endif
 
 /* Something that a file has and that is not read as it is, such as positions that are not finite.
@@ -37,8 +38,8 @@ enum {
     STREAM_ODDITY_COUNT = STREAM_FORMAT_ODDITIES + 4
 };
 
-/* Growing arrays for the elements and faces of one part; reused, so only the first parts allocate.
- * Fields are those of struct fmt_mesh_batch. */
+/* Growing arrays for the elements and faces of one block; reused, so only the first blocks
+ * allocate. Fields are those of struct fmt_mesh_batch. */
 struct mesh_arrays {
     double (*positions)[3];
     float (*colors)[3];
@@ -71,7 +72,7 @@ struct stream_source {
     struct fmt_mesh_reader *reader;
     const struct fmt_mesh_format *format;
     uint32_t number;
-    struct fmt_input *input; /* owned; open from the first cut to the pass of the last part */
+    struct fmt_input *input; /* owned; open from the first cut to the pass of the last block */
     const char *path;        /* of the input */
     bool open;
     bool held;  /* the input stays open from the start of the reader to the first cut */
@@ -83,20 +84,20 @@ struct stream_source {
     uint64_t late_color_count, face_base;
     uint64_t lines; /* that have passed, for formats whose cut does not know `first_line` */
     /* Numbers over the scan of the file's materials or, if the reader numbers objects, of its
-     * objects. So many as `begin` says are assigned when the first part of the file passes. */
+     * objects. So many as `begin` says are assigned when the first block of the file passes. */
     uint32_t *numbers;
     uint64_t number_count, number_capacity, material_count, object_count;
 };
 
-/* What a cut says of a part: enough to parse it again. */
-struct stream_part {
+/* What a cut says of a block: enough to parse it again. */
+struct stream_block {
     uint32_t source;
     uint64_t offset, size; /* bytes of the file that hold its elements */
-    uint64_t end;          /* all bytes before it belong to this part or to earlier ones */
+    uint64_t end;          /* all bytes before it belong to this block or to earlier ones */
     uint64_t first_line;   /* of text, from 1; 0: the format has no lines */
-    uint64_t lines;        /* that the part has */
-    bool failed;           /* it has an error: no part of this file follows */
-    /* For the format: what the part holds, how many of it, and how many came before; how much of
+    uint64_t lines;        /* that the block has */
+    bool failed;           /* it has an error: no block of this file follows */
+    /* For the format: what the block holds, how many of it, and how many came before; how much of
      * it is still to come, and what the parser must know of the bytes before and tell the next. */
     uint32_t kind;
     uint64_t items, first_item, left;
@@ -106,19 +107,19 @@ struct stream_part {
 /* A statement of a text that names a material, an object or a file of materials. */
 struct stream_statement {
     int kind;
-    uint64_t face; /* number of faces of the part before it */
-    uint64_t line; /* of the part, from 0 */
+    uint64_t face; /* number of faces of the block before it */
+    uint64_t line; /* of the block, from 0 */
     uint64_t offset, size;
 };
 
-/* A part and what was parsed from it. The buffers are reused. */
+/* A block and what was parsed from it. The buffers are reused. */
 struct stream_slot {
     struct bsq_ctx *ctx;
     struct stream_source *source;
-    struct stream_part part;
-    uint8_t *bytes; /* of the part; the cut or the parse loads them */
+    struct stream_block block;
+    uint8_t *bytes; /* of the block; the cut or the parse loads them */
     uint64_t capacity;
-    bool loaded; /* `bytes` holds the part */
+    bool loaded; /* `bytes` holds the block */
     struct mesh_arrays arrays;
     uint8_t *work; /* memory of the format */
     uint64_t work_capacity;
@@ -126,14 +127,14 @@ struct stream_slot {
     uint64_t statement_count, statement_capacity;
     bool finite;                /* the parser saw that all numbers of the file are finite */
     unsigned local;             /* a bit for each kind whose indices count from the first element
-                                   of the part, and not of the file */
+                                   of the block, and not of the file */
     int64_t balance;            /* a count of the format */
     float color_white;          /* as in struct fmt_mesh_batch */
     bool fine_colors;           /* likewise; a format sets it where that may be */
     uint32_t material_at_start; /* likewise; set by `pass` */
     uint64_t short_faces;       /* faces with fewer than three corners, which were skipped */
     struct stream_oddity odd[STREAM_ODDITY_COUNT];
-    uint64_t last_face; /* parsing stops after this face of the part; UINT64_MAX: never */
+    uint64_t last_face; /* parsing stops after this face of the block; UINT64_MAX: never */
     uint64_t at;        /* line or byte of the file where parsing stopped */
     char error[200];    /* what is wrong there; "": nothing */
     struct fmt_mesh_batch view;
@@ -172,22 +173,22 @@ struct fmt_mesh_format {
     /* Frees what source->data refers to, also after a failure of `begin`. May be NULL. */
     void (*end)(struct stream_source *source);
     /* Open and close what belongs to a file besides the file itself, before its first cut and after
-     * its last part has passed. Both may be NULL. Closing what is not open does nothing; after a
+     * its last block has passed. Both may be NULL. Closing what is not open does nothing; after a
      * failure of `enter` it is called too. */
     int (*enter)(struct stream_source *source);
     int (*leave)(struct stream_source *source);
-    /* Sets slot->part to the part after `before`, which is all zero but for `source` at the start
-     * of a file. Returns 1, or 0 if the file has no more parts. May load slot->bytes; then it sets
+    /* Sets slot->block to the block after `before`, which is all zero but for `source` at the start
+     * of a file. Returns 1, or 0 if the file has no more blocks. May load slot->bytes; then it sets
      * slot->loaded. What is wrong with the file goes to slot->error, as in `parse`. */
-    int (*cut)(const struct stream_part *before, struct stream_slot *slot);
+    int (*cut)(const struct stream_block *before, struct stream_slot *slot);
     /* Fills slot->arrays with indices that count from the start of the file, or as slot->local
      * says, and materials that are numbers of `pass`. Numbers need not be finite: the stream counts
-     * the others as oddities. May make slot->part more exact. Thread-safe.
-     * What is wrong with the file goes to slot->error, with slot->at: parts are parsed in any
+     * the others as oddities. May make slot->block more exact. Thread-safe.
+     * What is wrong with the file goes to slot->error, with slot->at: blocks are parsed in any
      * order, and only the first error of the files is reported. No two arrays overlap: callers
      * change them. */
     int (*parse)(struct stream_slot *slot);
-    /* Completes the arrays by what depends on earlier parts. Serial, in order. Called also if
+    /* Completes the arrays by what depends on earlier blocks. Serial, in order. Called also if
      * slot->error is set, which is reported then. Changes of materials have numbers over the scan
      * after it. May be NULL. */
     int (*pass)(struct stream_slot *slot);
@@ -222,9 +223,9 @@ struct stream_colorless {
     const char *name; /* of the first; owned by the source */
 };
 
-/* A part with faces. */
-struct stream_face_part {
-    struct stream_part part;
+/* A block with faces. */
+struct stream_face_block {
+    struct stream_block block;
     uint64_t face_base;
 };
 
@@ -233,7 +234,7 @@ struct fmt_mesh_reader {
     bool objects;     /* set by fmt_mesh_use_objects() */
     bool read_before; /* the files were read to their end: what there is to warn of is known */
     bool uses_colors; /* the caller previewed materials */
-    bool has_colors;  /* of vertices, in any part that has passed */
+    bool has_colors;  /* of vertices, in any block that has passed */
     bool gltf_colors; /* a glTF file has colours of vertices */
     bool painted, unpainted;        /* files have late colours for each vertex; have not */
     struct fmt_mesh_totals *totals; /* of the reading that goes on */
@@ -241,8 +242,8 @@ struct fmt_mesh_reader {
     uint32_t source_count;
     uint64_t material_count; /* numbers that were assigned */
     struct bsq_tally names;  /* the memory of names that formats keep */
-    struct stream_face_part *face_parts;
-    uint64_t face_part_count, face_part_capacity;
+    struct stream_face_block *face_blocks;
+    uint64_t face_block_count, face_block_capacity;
     struct stream_note *notes;
     uint64_t note_count, note_capacity;
     bool warns_of_materials; /* set by a preview, cleared by the first warning */
@@ -253,34 +254,35 @@ struct fmt_mesh_reader {
 
 /* ---- mesh_stream.c ---- */
 
-/* Finds a face that has been read: parses the part that holds face number `face` of the scan up to
+/* Finds a face that has been read: parses the block that holds face number `face` of the scan up to
  * this face. */
 int fmt_stream_locate_face(struct fmt_mesh_reader *reader, uint64_t face,
                            struct fmt_mesh_location *out);
-/* Parses a part up to its face number `face`, at which *slot stays. Free it with
+/* Parses a block up to its face number `face`, at which *slot stays. Free it with
  * fmt_stream_free_slot(), also after a failure. */
-int fmt_stream_parse_again(struct stream_source *source, const struct stream_part *part,
+int fmt_stream_parse_again(struct stream_source *source, const struct stream_block *block,
                            uint64_t face, struct stream_slot *slot);
 void fmt_stream_free_slot(struct stream_slot *slot);
 
-/* Ensures capacity for `size` bytes of a part and STREAM_PADDING bytes after them. */
+/* Ensures capacity for `size` bytes of a block and STREAM_PADDING bytes after them. */
 int fmt_stream_reserve(struct stream_slot *slot, uint64_t size);
 #define STREAM_PADDING ((uint64_t)64)
-/* Extends a part's loaded bytes from `have` on to `size` of them, from the part's offset; to fewer
- * at the end of the file. *loaded: their number. *at_end: the file ends with them, for certain. */
+/* Extends a block's loaded bytes from `have` on to `size` of them, from the block's offset; to
+ * fewer at the end of the file. *loaded: their number. *at_end: the file ends with them, for
+ * certain. */
 int fmt_stream_extend(struct stream_slot *slot, uint64_t have, uint64_t size, uint64_t *loaded,
                       bool *at_end);
-/* Cuts and loads the next part of a text, of about `usual` bytes: from part.offset and
- * part.first_line, which pass what is blank. find: returns the bytes of whole elements at the start
- * of `have` loaded bytes, 0 if none is whole; sets part.lines to the line ends in these bytes or,
- * if there are none, in all. Returns 1, or 0 at the end of the file. */
+/* Cuts and loads the next block of a text, of about `usual` bytes: from block.offset and
+ * block.first_line, which pass what is blank. find: returns the bytes of whole elements at the
+ * start of `have` loaded bytes, 0 if none is whole; sets block.lines to the line ends in these
+ * bytes or, if there are none, in all. Returns 1, or 0 at the end of the file. */
 int fmt_stream_cut_text(struct stream_slot *slot, uint64_t usual,
                         uint64_t (*find)(struct stream_slot *slot, uint64_t have, bool at_end));
-/* Loads the bytes of a part, unless they are loaded. */
+/* Loads the bytes of a block, unless they are loaded. */
 int fmt_stream_load(struct stream_slot *slot);
 
-/* Describes what is wrong with a part, at a line or byte of its file; 0: the text says where.
- * Returns 0, so that a parse function can return it. Only the first description of a part is kept.
+/* Describes what is wrong with a block, at a line or byte of its file; 0: the text says where.
+ * Returns 0, so that a parse function can return it. Only the first description of a block is kept.
  */
 int fmt_stream_fail(struct stream_slot *slot, uint64_t at, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
@@ -288,7 +290,7 @@ int fmt_stream_fail(struct stream_slot *slot, uint64_t at, const char *format, .
 /* Assigns the next number over the scan to a further material of a file. */
 int fmt_stream_add_material(struct stream_source *source, uint32_t *number);
 
-/* Turns the materials of a part, which count over its file, into numbers over the scan. */
+/* Turns the materials of a block, which count over its file, into numbers over the scan. */
 void fmt_stream_number_materials(struct stream_slot *slot);
 
 /* A kind of data that is not read. */

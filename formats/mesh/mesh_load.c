@@ -69,7 +69,7 @@ static int append_corners(struct loader *loader, int kind, const uint64_t *from,
 }
 
 /* Appends the numbers of the faces' materials. */
-static int append_parts(struct loader *loader, const struct fmt_mesh_batch *batch)
+static int append_blocks(struct loader *loader, const struct fmt_mesh_batch *batch)
 {
     struct fmt_mesh *mesh = loader->mesh;
     uint32_t material = batch->material_at_start;
@@ -111,7 +111,7 @@ static int collect(void *arg, const struct fmt_mesh_batch *batch)
         BSQ_PASS(append_corners(loader, kind, corners[kind], batch->corner_count));
     loader->corner_count += batch->corner_count;
     if (loader->named && batch->face_count > 0)
-        BSQ_PASS(append_parts(loader, batch));
+        BSQ_PASS(append_blocks(loader, batch));
     return 0;
 }
 

@@ -1,4 +1,4 @@
-/* mesh_stream.c - reads the files of a scan part by part, on all threads; see mesh_format.h. */
+/* mesh_stream.c - reads the files of a scan block by block, on all threads; see mesh_format.h. */
 #include <inttypes.h>
 #include <math.h>
 #include <stdarg.h>
@@ -11,19 +11,19 @@
 #include "formats/mesh/mesh_text.h"
 
 /* One call of fmt_mesh_read_steps(). */
-struct job {
+struct reading {
     struct fmt_mesh_reader *reader;
     const struct fmt_mesh_steps *steps;
     void *arg;
     struct stream_slot *slots;
-    struct stream_part cut; /* the last part that was cut */
-    uint32_t source;        /* file of the last part that passed */
-    uint64_t passed;        /* bytes of this file that earlier batches have */
+    struct stream_block cut; /* the last block that was cut */
+    uint32_t source;         /* file of the last block that passed */
+    uint64_t passed;         /* bytes of this file that earlier batches have */
 };
 
 /* ---- files ---- */
 
-/* Opens a file before its first part. */
+/* Opens a file before its first block. */
 static int enter_file(struct stream_source *source)
 {
     int status = fmt_input_open(source->input);
@@ -34,7 +34,7 @@ static int enter_file(struct stream_source *source)
     return !status && source->format->enter ? source->format->enter(source) : status;
 }
 
-/* Closes a file after its last part. Errors: BSQ_EIO if it was changed meanwhile. */
+/* Closes a file after its last block. Errors: BSQ_EIO if it was changed meanwhile. */
 static int leave_file(struct stream_source *source)
 {
     const bool was_open = source->open;
@@ -55,7 +55,7 @@ int fmt_stream_extend(struct stream_slot *slot, uint64_t have, uint64_t size, ui
                       bool *at_end)
 {
     struct fmt_input *input = slot->source->input;
-    const uint64_t offset = slot->part.offset;
+    const uint64_t offset = slot->block.offset;
     uint64_t file_size, end;
     *loaded = have;
     *at_end = false;
@@ -76,10 +76,10 @@ int fmt_stream_extend(struct stream_slot *slot, uint64_t have, uint64_t size, ui
 
 int fmt_stream_load(struct stream_slot *slot)
 {
-    const struct stream_part *part = &slot->part;
-    int status = slot->loaded ? 0 : fmt_stream_reserve(slot, part->size);
+    const struct stream_block *block = &slot->block;
+    int status = slot->loaded ? 0 : fmt_stream_reserve(slot, block->size);
     if (!status && !slot->loaded)
-        status = fmt_input_read(slot->source->input, slot->bytes, part->size, part->offset);
+        status = fmt_input_read(slot->source->input, slot->bytes, block->size, block->offset);
     slot->loaded = !status;
     return status;
 }
@@ -87,26 +87,26 @@ int fmt_stream_load(struct stream_slot *slot)
 int fmt_stream_cut_text(struct stream_slot *slot, uint64_t usual,
                         uint64_t (*find)(struct stream_slot *, uint64_t, bool))
 {
-    struct stream_part *part = &slot->part;
+    struct stream_block *block = &slot->block;
     uint64_t have = 0, wanted = usual;
     bool at_end = false;
     for (;;) {
         BSQ_PASS(fmt_stream_extend(slot, have, wanted, &have, &at_end));
-        part->size = have > 0 ? find(slot, have, at_end) : 0;
-        if (part->size > 0 || at_end)
+        block->size = have > 0 ? find(slot, have, at_end) : 0;
+        if (block->size > 0 || at_end)
             break;
         BSQ_PASS(bsq_check(slot->ctx));
         if (fmt_mesh_count_space(slot->bytes, have) < have) {
             wanted *= 2;
         } else { /* any number of blanks needs no memory */
-            part->offset += have;
-            part->first_line += part->lines;
-            have = part->lines = 0;
+            block->offset += have;
+            block->first_line += block->lines;
+            have = block->lines = 0;
         }
     }
-    part->end = part->offset + part->size;
+    block->end = block->offset + block->size;
     slot->loaded = true;
-    return part->size > 0;
+    return block->size > 0;
 }
 
 int fmt_stream_fail(struct stream_slot *slot, uint64_t at, const char *format, ...)
@@ -165,7 +165,7 @@ static uint64_t replace_bad(float (*vectors)[3], uint64_t count, float missing)
     return bad;
 }
 
-/* Finds out whether colours of a part that may need more than 8 bits do: from half of a step that
+/* Finds out whether colours of a block that may need more than 8 bits do: from half of a step that
  * chunk files keep on. Numbers round to whole steps in the sums, in a loop without branches. */
 static void look_for_fine_colors(struct stream_slot *slot)
 {
@@ -183,7 +183,7 @@ static void look_for_fine_colors(struct stream_slot *slot)
     slot->fine_colors = fine;
 }
 
-/* Marks elements of a part that are not finite, and counts them. */
+/* Marks elements of a block that are not finite, and counts them. */
 static void mark_bad(struct stream_slot *slot)
 {
     struct mesh_arrays *a = &slot->arrays;
@@ -199,33 +199,33 @@ static void mark_bad(struct stream_slot *slot)
 
 static int produce(void *arg, void *slot_memory, uint64_t sequence)
 {
-    struct job *job = arg;
+    struct reading *reading = arg;
     struct stream_slot *slot = slot_memory;
     (void)sequence;
-    while (job->cut.source < job->reader->source_count) {
-        struct stream_source *source = &job->reader->sources[job->cut.source];
-        int status = !source->open && job->cut.end == 0 ? enter_file(source) : 0;
+    while (reading->cut.source < reading->reader->source_count) {
+        struct stream_source *source = &reading->reader->sources[reading->cut.source];
+        int status = !source->open && reading->cut.end == 0 ? enter_file(source) : 0;
         slot->source = source;
         slot->loaded = false;
         slot->error[0] = '\0';
-        slot->part = (struct stream_part){.source = job->cut.source};
-        if (status == 0 && !job->cut.failed)
-            status = source->format->cut(&job->cut, slot);
-        slot->part.failed = slot->error[0] != '\0';
+        slot->block = (struct stream_block){.source = reading->cut.source};
+        if (status == 0 && !reading->cut.failed)
+            status = source->format->cut(&reading->cut, slot);
+        slot->block.failed = slot->error[0] != '\0';
         if (status != 0) {
-            job->cut = slot->part;
+            reading->cut = slot->block;
             return status;
         }
-        /* No part of an empty file passes, so nothing else closes it. */
-        status = job->cut.end == 0 ? leave_file(source) : 0;
+        /* No block of an empty file passes, so nothing else closes it. */
+        status = reading->cut.end == 0 ? leave_file(source) : 0;
         if (status != 0)
             return status;
-        job->cut = (struct stream_part){.source = job->cut.source + 1};
+        reading->cut = (struct stream_block){.source = reading->cut.source + 1};
     }
     return 0;
 }
 
-/* Forgets what an earlier part had, and keeps the memory. */
+/* Forgets what an earlier block had, and keeps the memory. */
 static void clear_slot(struct stream_slot *slot)
 {
     struct mesh_arrays *a = &slot->arrays;
@@ -250,7 +250,7 @@ static int work(void *arg, void *slot_memory, uint64_t sequence, unsigned worker
     (void)arg, (void)sequence, (void)worker;
     clear_slot(slot);
     slot->last_face = UINT64_MAX;
-    const int status = slot->part.failed ? 0 : slot->source->format->parse(slot);
+    const int status = slot->block.failed ? 0 : slot->source->format->parse(slot);
     if (!status && !slot->finite)
         mark_bad(slot);
     if (!status)
@@ -280,7 +280,7 @@ void fmt_stream_number_materials(struct stream_slot *slot)
     }
 }
 
-/* Numbers the materials or parts that are known of a file from its start. */
+/* Numbers the materials or objects that are known of a file from its start. */
 static int number_first_materials(struct stream_source *source)
 {
     const bool objects = source->reader->objects;
@@ -297,14 +297,14 @@ static int number_first_materials(struct stream_source *source)
 
 /* ---- passing in order ---- */
 
-/* Moves on to the file of the next part. The parts of earlier files have all been parsed. */
-static int enter_source(struct job *job, struct stream_source *source)
+/* Moves on to the file of the next block. The blocks of earlier files have all been parsed. */
+static int enter_source(struct reading *reading, struct stream_source *source)
 {
-    const struct fmt_mesh_totals *totals = job->reader->totals;
-    for (uint32_t i = job->source; i < source->number; i++)
-        BSQ_PASS(leave_file(&job->reader->sources[i]));
-    job->source = source->number;
-    job->passed = 0;
+    const struct fmt_mesh_totals *totals = reading->reader->totals;
+    for (uint32_t i = reading->source; i < source->number; i++)
+        BSQ_PASS(leave_file(&reading->reader->sources[i]));
+    reading->source = source->number;
+    reading->passed = 0;
     source->base[FMT_MESH_VERTEX] = totals->vertices;
     source->base[FMT_MESH_TEXCOORD] = totals->texcoords;
     source->base[FMT_MESH_NORMAL] = totals->normals;
@@ -314,16 +314,16 @@ static int enter_source(struct job *job, struct stream_source *source)
     return number_first_materials(source);
 }
 
-static int fail_part(const struct stream_slot *slot)
+static int fail_block(const struct stream_slot *slot)
 {
     const char *path = slot->source->path;
     if (slot->at == 0)
         return bsq_fail(slot->ctx, BSQ_EDATA, "%s: %s", path, slot->error);
     return bsq_fail(slot->ctx, BSQ_EDATA, "%s:%s%" PRIu64 ": %s", path,
-                    slot->part.first_line ? "" : " byte ", slot->at, slot->error);
+                    slot->block.first_line ? "" : " byte ", slot->at, slot->error);
 }
 
-/* Makes indices that count from the start of the file, or of the part, count over the scan. */
+/* Makes indices that count from the start of the file, or of the block, count over the scan. */
 static void add_bases(struct stream_slot *slot)
 {
     const struct stream_source *source = slot->source;
@@ -342,7 +342,7 @@ static void add_bases(struct stream_slot *slot)
     }
 }
 
-/* Scales, turns and shifts the elements of a part, in double precision, before anybody chooses an
+/* Scales, turns and shifts the elements of a block, in double precision, before anybody chooses an
  * origin for 32-bit positions. */
 static void move_elements(const struct fmt_mesh_placement *p, struct mesh_arrays *a)
 {
@@ -362,20 +362,20 @@ static void move_elements(const struct fmt_mesh_placement *p, struct mesh_arrays
     }
 }
 
-static int add_face_part(const struct job *job, const struct stream_slot *slot)
+static int add_face_block(const struct reading *reading, const struct stream_slot *slot)
 {
-    struct fmt_mesh_reader *reader = job->reader;
+    struct fmt_mesh_reader *reader = reading->reader;
     if (slot->arrays.face_count == 0)
         return 0;
-    int status = FMT_RESERVE(reader->ctx, reader->face_part_count + 1, reader->face_parts,
-                             reader->face_part_capacity);
+    int status = FMT_RESERVE(reader->ctx, reader->face_block_count + 1, reader->face_blocks,
+                             reader->face_block_capacity);
     if (!status)
-        reader->face_parts[reader->face_part_count++] =
-            (struct stream_face_part){.part = slot->part, .face_base = job->reader->totals->faces};
+        reader->face_blocks[reader->face_block_count++] = (struct stream_face_block){
+            .block = slot->block, .face_base = reading->reader->totals->faces};
     return status;
 }
 
-/* Adds the oddities of a part to the notes of all files. */
+/* Adds the oddities of a block to the notes of all files. */
 static int note_oddities(struct fmt_mesh_reader *reader, const struct stream_slot *slot)
 {
     for (int i = 0; i < STREAM_ODDITY_COUNT; i++) {
@@ -389,8 +389,8 @@ static int note_oddities(struct fmt_mesh_reader *reader, const struct stream_slo
         if (k == reader->note_count)
             reader->notes[reader->note_count++] =
                 (struct stream_note){.text = text,
-                                     .source = slot->part.source,
-                                     .bytes = slot->part.first_line == 0,
+                                     .source = slot->block.source,
+                                     .bytes = slot->block.first_line == 0,
                                      .odd = {.at = slot->odd[i].at}};
         reader->notes[k].odd.count += slot->odd[i].count;
     }
@@ -420,15 +420,15 @@ static void show_arrays(const struct mesh_arrays *a, struct fmt_mesh_batch *batc
     batch->material_changes = a->changes;
 }
 
-static int call_on_batch(const struct job *job, struct stream_slot *slot, uint64_t sequence)
+static int call_on_batch(const struct reading *reading, struct stream_slot *slot, uint64_t sequence)
 {
-    const struct fmt_mesh_totals *totals = job->reader->totals;
+    const struct fmt_mesh_totals *totals = reading->reader->totals;
     const struct stream_source *source = slot->source;
     slot->view = (struct fmt_mesh_batch){
         .sequence = sequence,
-        .file = slot->part.source,
-        .byte_offset = job->passed,
-        .byte_size = slot->part.end - job->passed,
+        .file = slot->block.source,
+        .byte_offset = reading->passed,
+        .byte_size = slot->block.end - reading->passed,
         .color_white = slot->color_white,
         .fine_colors = slot->fine_colors,
         .missing_positions = slot->odd[STREAM_NO_POSITION].count,
@@ -441,67 +441,67 @@ static int call_on_batch(const struct job *job, struct stream_slot *slot, uint64
         .material_at_start = slot->material_at_start,
     };
     show_arrays(&slot->arrays, &slot->view);
-    return job->steps->on_batch ? job->steps->on_batch(job->arg, &slot->view) : 0;
+    return reading->steps->on_batch ? reading->steps->on_batch(reading->arg, &slot->view) : 0;
 }
 
-/* Adds the part to all counts. */
-static void count_part(struct job *job, const struct stream_slot *slot)
+/* Adds the block to all counts. */
+static void count_stream_block(struct reading *reading, const struct stream_slot *slot)
 {
     const struct mesh_arrays *arrays = &slot->arrays;
     struct stream_source *source = slot->source;
-    struct fmt_mesh_totals *totals = job->reader->totals;
+    struct fmt_mesh_totals *totals = reading->reader->totals;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         source->count[kind] += arrays->count[kind];
     source->late_color_count += arrays->late_color_count;
-    source->lines += slot->part.lines;
-    job->reader->has_colors |= arrays->has_colors || arrays->late_color_count > 0;
-    totals->bytes += slot->part.end - job->passed;
+    source->lines += slot->block.lines;
+    reading->reader->has_colors |= arrays->has_colors || arrays->late_color_count > 0;
+    totals->bytes += slot->block.end - reading->passed;
     totals->vertices += arrays->count[FMT_MESH_VERTEX];
     totals->texcoords += arrays->count[FMT_MESH_TEXCOORD];
     totals->normals += arrays->count[FMT_MESH_NORMAL];
     totals->faces += arrays->face_count;
     totals->corners += arrays->corner_count;
     totals->short_faces += slot->short_faces;
-    totals->materials = (uint32_t)job->reader->material_count;
-    job->passed = slot->part.end;
+    totals->materials = (uint32_t)reading->reader->material_count;
+    reading->passed = slot->block.end;
 }
 
 static int emit(void *arg, void *slot_memory, uint64_t sequence)
 {
-    struct job *job = arg;
+    struct reading *reading = arg;
     struct stream_slot *slot = slot_memory;
     struct stream_source *source = slot->source;
     BSQ_PASS(bsq_check(slot->ctx));
-    if (sequence == 0 || source->number != job->source)
-        BSQ_PASS(enter_source(job, source));
+    if (sequence == 0 || source->number != reading->source)
+        BSQ_PASS(enter_source(reading, source));
     if (source->format->pass)
         BSQ_PASS(source->format->pass(slot));
     if (slot->error[0])
-        return fail_part(slot);
+        return fail_block(slot);
     add_bases(slot);
     if (source->moves)
         move_elements(&source->placement, &slot->arrays);
-    BSQ_PASS(note_oddities(job->reader, slot));
-    BSQ_PASS(add_face_part(job, slot));
-    BSQ_PASS(call_on_batch(job, slot, sequence));
-    count_part(job, slot);
+    BSQ_PASS(note_oddities(reading->reader, slot));
+    BSQ_PASS(add_face_block(reading, slot));
+    BSQ_PASS(call_on_batch(reading, slot, sequence));
+    count_stream_block(reading, slot);
     return 0;
 }
 
 static int follow(void *arg, void *slot_memory, uint64_t sequence, unsigned worker)
 {
-    const struct job *job = arg;
+    const struct reading *reading = arg;
     const struct stream_slot *slot = slot_memory;
     (void)sequence, (void)worker;
-    return job->steps->follow(job->arg, &slot->view, (unsigned)(slot - job->slots));
+    return reading->steps->follow(reading->arg, &slot->view, (unsigned)(slot - reading->slots));
 }
 
 static int finish(void *arg, void *slot_memory, uint64_t sequence)
 {
-    const struct job *job = arg;
+    const struct reading *reading = arg;
     const struct stream_slot *slot = slot_memory;
     (void)sequence;
-    return job->steps->finish(job->arg, &slot->view, (unsigned)(slot - job->slots));
+    return reading->steps->finish(reading->arg, &slot->view, (unsigned)(slot - reading->slots));
 }
 
 /* ---- reading ---- */
@@ -516,35 +516,35 @@ void fmt_stream_free_slot(struct stream_slot *slot)
 
 static unsigned count_slots(const struct fmt_mesh_reader *reader)
 {
-    uint64_t parts = 1;
+    uint64_t blocks = 1;
     const unsigned most = fmt_mesh_max_slots(reader);
-    for (uint32_t i = 0; i < reader->source_count && parts < most; i++)
-        parts += fmt_input_size(reader->sources[i].input) / STREAM_PART_BYTES + 2;
-    return parts < most ? (unsigned)parts : most;
+    for (uint32_t i = 0; i < reader->source_count && blocks < most; i++)
+        blocks += fmt_input_size(reader->sources[i].input) / STREAM_BLOCK_BYTES + 2;
+    return blocks < most ? (unsigned)blocks : most;
 }
 
-static int run_job(struct job *job)
+static int run_reading(struct reading *reading)
 {
-    struct bsq_ctx *ctx = job->reader->ctx;
-    const unsigned slot_count = count_slots(job->reader);
-    BSQ_PASS(BSQ_CALLOC(ctx, "batches of a mesh", slot_count, &job->slots));
+    struct bsq_ctx *ctx = reading->reader->ctx;
+    const unsigned slot_count = count_slots(reading->reader);
+    BSQ_PASS(BSQ_CALLOC(ctx, "batches of a mesh", slot_count, &reading->slots));
     for (unsigned i = 0; i < slot_count; i++)
-        job->slots[i].ctx = ctx;
+        reading->slots[i].ctx = ctx;
     struct bsq_pipeline pipeline = {
         .produce = produce,
         .work = work,
         .emit = emit,
-        .follow = job->steps->follow ? follow : NULL,
-        .finish = job->steps->follow ? finish : NULL,
-        .arg = job,
-        .slots = job->slots,
-        .slot_size = sizeof *job->slots,
+        .follow = reading->steps->follow ? follow : NULL,
+        .finish = reading->steps->follow ? finish : NULL,
+        .arg = reading,
+        .slots = reading->slots,
+        .slot_size = sizeof *reading->slots,
         .slot_count = slot_count,
     };
     int status = bsq_pipeline_run(ctx, &pipeline);
     for (unsigned i = 0; i < slot_count; i++)
-        fmt_stream_free_slot(&job->slots[i]);
-    bsq_free(ctx, job->slots);
+        fmt_stream_free_slot(&reading->slots[i]);
+    bsq_free(ctx, reading->slots);
     return status;
 }
 
@@ -584,13 +584,13 @@ static int warn_oddities(const struct fmt_mesh_reader *reader)
 int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps,
                         void *arg, struct fmt_mesh_totals *totals)
 {
-    struct job job = {.reader = reader, .steps = steps, .arg = arg};
+    struct reading reading = {.reader = reader, .steps = steps, .arg = arg};
     struct fmt_mesh_totals unused = {0};
     reader->totals = totals ? totals : &unused;
     *reader->totals = (struct fmt_mesh_totals){0};
-    reader->face_part_count = reader->note_count = 0;
+    reader->face_block_count = reader->note_count = 0;
     reader->painted = reader->unpainted = false;
-    int status = run_job(&job);
+    int status = run_reading(&reading);
     for (uint32_t i = 0; i < reader->source_count; i++) {
         const int left = leave_file(&reader->sources[i]);
         status = status ? status : left;
@@ -606,26 +606,26 @@ int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_st
 
 /* ---- finding a face again ---- */
 
-/* Returns the last part whose faces begin at or before `face`. */
-static const struct stream_face_part *find_face_part(const struct fmt_mesh_reader *reader,
-                                                     uint64_t face)
+/* Returns the last block whose faces begin at or before `face`. */
+static const struct stream_face_block *find_face_block(const struct fmt_mesh_reader *reader,
+                                                       uint64_t face)
 {
-    uint64_t low = 0, high = reader->face_part_count;
+    uint64_t low = 0, high = reader->face_block_count;
     while (high - low > 1) {
         uint64_t middle = low + (high - low) / 2;
-        if (reader->face_parts[middle].face_base <= face)
+        if (reader->face_blocks[middle].face_base <= face)
             low = middle;
         else
             high = middle;
     }
-    return reader->face_part_count ? &reader->face_parts[low] : NULL;
+    return reader->face_block_count ? &reader->face_blocks[low] : NULL;
 }
 
-int fmt_stream_parse_again(struct stream_source *source, const struct stream_part *part,
+int fmt_stream_parse_again(struct stream_source *source, const struct stream_block *block,
                            uint64_t face, struct stream_slot *slot)
 {
     *slot = (struct stream_slot){
-        .ctx = source->ctx, .source = source, .part = *part, .last_face = face};
+        .ctx = source->ctx, .source = source, .block = *block, .last_face = face};
     const bool opened = !source->open;
     int status = opened ? enter_file(source) : 0;
     if (!status)
@@ -637,16 +637,16 @@ int fmt_stream_parse_again(struct stream_source *source, const struct stream_par
 int fmt_stream_locate_face(struct fmt_mesh_reader *reader, uint64_t face,
                            struct fmt_mesh_location *out)
 {
-    const struct stream_face_part *found = find_face_part(reader, face);
+    const struct stream_face_block *found = find_face_block(reader, face);
     struct stream_slot slot;
     if (!found)
         return bsq_fail(reader->ctx, BSQ_EBUG, "face %" PRIu64 " has not been read", face);
-    struct stream_source *source = &reader->sources[found->part.source];
-    int status = fmt_stream_parse_again(source, &found->part, face - found->face_base, &slot);
+    struct stream_source *source = &reader->sources[found->block.source];
+    int status = fmt_stream_parse_again(source, &found->block, face - found->face_base, &slot);
     *out = (struct fmt_mesh_location){.path = source->path,
                                       .first_face = source->face_base,
                                       .from_zero = !source->format->from_one};
-    *(found->part.first_line ? &out->line : &out->byte) = slot.at;
+    *(found->block.first_line ? &out->line : &out->byte) = slot.at;
     memcpy(out->base, source->base, sizeof out->base);
     memcpy(out->count, source->count, sizeof out->count);
     fmt_stream_free_slot(&slot);
@@ -664,7 +664,7 @@ void fmt_mesh_close(struct fmt_mesh_reader *reader)
         BSQ_FREE(reader->ctx, source->data, source->numbers);
         fmt_input_free(source->input);
     }
-    BSQ_FREE(reader->ctx, reader->sources, reader->face_parts, reader->notes);
+    BSQ_FREE(reader->ctx, reader->sources, reader->face_blocks, reader->notes);
     bsq_tally_release(reader->ctx, &reader->names);
     bsq_free(reader->ctx, reader);
 }

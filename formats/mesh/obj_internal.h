@@ -1,21 +1,21 @@
-/* obj_internal.h - private to the OBJ reader: its state and how its parts share it.
+/* obj_internal.h - private to the OBJ reader: its state and how its blocks share it.
  *
- * A part of an OBJ file begins at a line start and ends at a line end, so it can be parsed without
- * knowing what came before it. What depends on earlier parts (relative indices, names, line
- * numbers) is resolved when the parts pass in order. */
+ * A block of an OBJ file begins at a line start and ends at a line end, so it can be parsed without
+ * knowing what came before it. What depends on earlier blocks (relative indices, names, line
+ * numbers) is resolved when the blocks pass in order. */
 #ifndef FMT_MESH_OBJ_INTERNAL_H
 #define FMT_MESH_OBJ_INTERNAL_H
 
 #include "formats/mesh/mesh_format.h"
 
-/* Bytes of text of one part. Text and result fit a core's cache, and parts are large enough that
+/* Bytes of text of one block. Text and result fit a core's cache, and blocks are large enough that
  * handing them around costs nothing. */
-#define OBJ_PART_BYTES ((uint64_t)512 << 10)
+#define OBJ_BLOCK_BYTES ((uint64_t)512 << 10)
 
 /* Encoding of parsed corners. A value below OBJ_RELATIVE_LIMIT is an index from 0 into the file.
  * Any other value except FMT_MESH_NONE is OBJ_RELATIVE_ZERO plus the signed distance from the first
- * element of the part; then part.carry_out has the bit of its kind. Indices have at most 18 digits,
- * so the two ranges never meet. */
+ * element of the block; then block.carry_out has the bit of its kind. Indices have at most 18
+ * digits, so the two ranges never meet. */
 #define OBJ_RELATIVE_ZERO  ((uint64_t)1 << 62)
 #define OBJ_RELATIVE_LIMIT ((uint64_t)1 << 61)
 
@@ -33,7 +33,7 @@ enum obj_statement_kind {
     OBJ_USEMTL,
     OBJ_MTLLIB,
     OBJ_OBJECT,        /* o or g */
-    OBJ_FIRST_UNKNOWN, /* the whole statement, of the first OBJ_UNKNOWN of the part */
+    OBJ_FIRST_UNKNOWN, /* the whole statement, of the first OBJ_UNKNOWN of the block */
     OBJ_BAD_PAINT      /* a ZBrush comment of colours that has other text */
 };
 
@@ -63,7 +63,7 @@ struct obj_file {
 /* ---- obj_reader.c ---- */
 
 /* Implement struct fmt_mesh_format, for other readers whose files become OBJ, too. */
-int fmt_obj_cut(const struct stream_part *before, struct stream_slot *slot);
+int fmt_obj_cut(const struct stream_block *before, struct stream_slot *slot);
 int fmt_obj_estimate(struct stream_source *source, uint64_t bytes, bool plain,
                      struct fmt_mesh_estimate *out);
 
@@ -71,7 +71,7 @@ int fmt_obj_estimate(struct stream_source *source, uint64_t bytes, bool plain,
 
 /* Parses bytes [begin, begin + size) of slot->bytes, which have STREAM_PADDING bytes after them.
  * Stops after face number slot->last_face, or where the text is wrong. slot->at is the line of that
- * place: from part.first_line, if it is known, or else from 1. part.lines are the line ends.
+ * place: from block.first_line, if it is known, or else from 1. block.lines are the line ends.
  * slot->balance counts statements of the standard other than elements and faces. objects: keep o
  * and g statements. Errors: BSQ_ENOMEM, BSQ_EINTR. */
 int fmt_obj_parse_text(struct stream_slot *slot, uint64_t begin, uint64_t size, bool objects);

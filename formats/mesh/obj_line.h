@@ -29,7 +29,7 @@ static inline unsigned obj_next_bit(uint64_t *bits)
 
 /* ---- three numbers ---- */
 
-/* Where the parts of a number are in the text. */
+/* Where the digits of a number are in the text. */
 struct obj_span {
     unsigned start, point, end; /* of digits and point; start is after a minus */
 };

@@ -1,8 +1,8 @@
-/* obj_parse.c - parses one part of OBJ text.
+/* obj_parse.c - parses one block of OBJ text.
  *
  * The parser looks at each byte once: numbers and indices find their own ends, and lines without
- * fields that matter are skipped. The buffers grow to what the text of a part needs and are
- * reused, so only the first parts touch memory for the first time. */
+ * fields that matter are skipped. The buffers grow to what the text of a block needs and are
+ * reused, so only the first blocks touch memory for the first time. */
 #include "formats/mesh/obj_internal.h"
 
 #include <math.h>
@@ -29,7 +29,7 @@ static const char *const surface_statements[] = {"surf", "bsp", "bzp", "cdp"};
  * `status` says why. */
 struct parser {
     struct bsq_ctx *ctx;
-    struct stream_slot *slot; /* part.lines counts the line ends passed */
+    struct stream_slot *slot; /* block.lines counts the line ends passed */
     struct mesh_arrays *arrays;
     const char *end; /* of the lines to be parsed before the next look for an interruption */
     bool objects;    /* keep o and g statements */
@@ -60,7 +60,7 @@ static inline const char *skip_blanks(struct parser *parser, const char *p)
         if (__builtin_expect(*p != '\\', 1) || !(size = fmt_mesh_line_end(p + 1)))
             return p;
         p += 1 + size;
-        parser->slot->part.lines++;
+        parser->slot->block.lines++;
     }
 }
 
@@ -69,10 +69,10 @@ static inline const char *skip_blanks(struct parser *parser, const char *p)
 static const char *skip_statement(struct parser *parser, const char *p,
                                   enum mesh_continued continued, const char **end)
 {
-    *end = p + fmt_mesh_statement_size(p, continued, &parser->slot->part.lines);
+    *end = p + fmt_mesh_statement_size(p, continued, &parser->slot->block.lines);
     if (**end == '\0')
         return fail(parser, "not a text file (zero byte)");
-    parser->slot->part.lines++;
+    parser->slot->block.lines++;
     return *end + fmt_mesh_line_end(*end);
 }
 
@@ -85,13 +85,13 @@ static const char *skip_comment(struct parser *parser, const char *p)
 static inline const char *finish_line(struct parser *parser, const char *p)
 {
     if (__builtin_expect(*p == '\n', 1)) {
-        parser->slot->part.lines++;
+        parser->slot->block.lines++;
         return p + 1;
     }
     p = skip_blanks(parser, p);
     int size = fmt_mesh_line_end(p);
     if (size) {
-        parser->slot->part.lines++;
+        parser->slot->block.lines++;
         return p + size;
     }
     if (*p == '#')
@@ -126,7 +126,7 @@ __attribute__((cold, noinline)) static void note_odd(struct parser *parser, int 
 {
     struct stream_oddity *odd = &parser->slot->odd[oddity];
     if (!odd->count++)
-        odd->at = parser->slot->part.lines + 1;
+        odd->at = parser->slot->block.lines + 1;
     parser->slot->finite &= oddity >= STREAM_FORMAT_ODDITIES;
 }
 
@@ -170,7 +170,7 @@ static const char *parse_numbers(struct parser *parser, const char *p, double *n
     return p;
 }
 
-/* Adds the colour of the next vertex. Earlier vertices of the part without colour get -1. */
+/* Adds the colour of the next vertex. Earlier vertices of the block without colour get -1. */
 static bool add_color(struct parser *parser, const double *rgb)
 {
     struct mesh_arrays *a = parser->arrays;
@@ -313,13 +313,13 @@ static inline const char *parse_index(struct parser *parser, const char *p, enum
         parser->vertices |= negative ? UINT64_MAX : value;
     if (negative) {
         *out = OBJ_RELATIVE_ZERO + a->count[kind] - value;
-        parser->slot->part.carry_out |= 1u << kind;
+        parser->slot->block.carry_out |= 1u << kind;
     }
     return after;
 }
 
 /* Stores the texture coordinate or normal index of corner number `corner`. Corners before the first
- * one of the part that has such an index get FMT_MESH_NONE. */
+ * one of the block that has such an index get FMT_MESH_NONE. */
 static bool put_corner(struct parser *parser, enum fmt_mesh_kind kind, uint64_t corner,
                        uint64_t index)
 {
@@ -397,7 +397,7 @@ static const char *parse_face(struct parser *parser, const char *p)
 
 /* ---- other statements ---- */
 
-/* Keeps bytes [p, end) of a statement that begins in line `line` of the part. */
+/* Keeps bytes [p, end) of a statement that begins in line `line` of the block. */
 static bool add_statement(struct parser *parser, enum obj_statement_kind kind, uint64_t line,
                           const char *p, const char *end)
 {
@@ -418,7 +418,7 @@ static bool add_statement(struct parser *parser, enum obj_statement_kind kind, u
 /* Keeps the name after the first word of a statement. */
 static const char *parse_name(struct parser *parser, const char *p, enum obj_statement_kind kind)
 {
-    const uint64_t line = parser->slot->part.lines;
+    const uint64_t line = parser->slot->block.lines;
     if (fmt_mesh_is_blank(*p))
         p = skip_blanks(parser, p);
     const char *end = p, *after = skip_statement(parser, p, MESH_CONTINUED_NAMES, &end);
@@ -439,9 +439,9 @@ static bool is_in(const char *const *list, size_t count, const char *word, size_
 /* Returns whether the arguments of a usemap statement name a map: they are not "off". */
 static bool names_map(struct parser *parser, const char *p)
 {
-    const uint64_t lines = parser->slot->part.lines;
+    const uint64_t lines = parser->slot->block.lines;
     const bool off = strncmp(skip_blanks(parser, p), "off", 3) == 0;
-    parser->slot->part.lines = lines; /* the caller reads the arguments again */
+    parser->slot->block.lines = lines; /* the caller reads the arguments again */
     return !off;
 }
 
@@ -449,7 +449,7 @@ static bool names_map(struct parser *parser, const char *p)
 static const char *parse_other(struct parser *parser, const char *p)
 {
     const char *word = p, *end = p;
-    const uint64_t line = parser->slot->part.lines;
+    const uint64_t line = parser->slot->block.lines;
     while (!obj_is_delimiter(*p))
         p++;
     size_t length = (size_t)(p - word);
@@ -504,7 +504,7 @@ static bool add_paint(struct parser *parser, const char *p)
     while (fmt_mesh_is_blank(*p))
         p++;
     return fmt_mesh_line_end(p) ||
-           add_statement(parser, OBJ_BAD_PAINT, parser->slot->part.lines, p, p);
+           add_statement(parser, OBJ_BAD_PAINT, parser->slot->block.lines, p, p);
 }
 
 static bool is_separator(char c)
@@ -536,7 +536,7 @@ static inline const char *parse_line(struct parser *parser, const char *p)
     }
     int size = fmt_mesh_line_end(p);
     if (size) {
-        parser->slot->part.lines++;
+        parser->slot->block.lines++;
         return p + size;
     }
     if (p[0] == '\0')
@@ -564,7 +564,7 @@ static const char *parse_plain_vertices(struct parser *parser, const char *p)
         vertex++;
     }
     a->count[FMT_MESH_VERTEX] = vertex;
-    parser->slot->part.lines += vertex - first;
+    parser->slot->block.lines += vertex - first;
     return p;
 }
 
@@ -595,7 +595,7 @@ static const char *parse_plain_triangles(struct parser *parser, const char *p)
     a->corner_count += 3 * (face - first);
     if (face > first && obj_bound_of(most) > a->vertex_bound)
         a->vertex_bound = obj_bound_of(most);
-    parser->slot->part.lines += face - first;
+    parser->slot->block.lines += face - first;
     return p;
 }
 
@@ -615,28 +615,28 @@ int fmt_obj_parse_text(struct stream_slot *slot, uint64_t begin, uint64_t size, 
     struct parser parser = {
         .ctx = slot->ctx, .slot = slot, .arrays = &slot->arrays, .objects = objects};
     uint64_t line = 0;
-    slot->part.lines = slot->part.carry_out = 0;
+    slot->block.lines = slot->block.carry_out = 0;
     slot->arrays.vertex_bound = 0;
     slot->finite = true;
     /* Two line ends: the last line may lack its own and even end in a continuation. */
     memset(slot->bytes + begin + size, 0, STREAM_PADDING);
     memset(slot->bytes + begin + size, '\n', 2);
-    if (slot->part.offset == 0)
+    if (slot->block.offset == 0)
         p += fmt_mesh_mark(p, size);
-    /* A part has more bytes if all lines end in a backslash, as comments may. */
+    /* A block has more bytes if all lines end in a backslash, as comments may. */
     while (p && p < end && slot->arrays.face_count <= slot->last_face && parser.status == 0) {
-        parser.end = (uint64_t)(end - p) > OBJ_PART_BYTES ? p + OBJ_PART_BYTES : end;
+        parser.end = (uint64_t)(end - p) > OBJ_BLOCK_BYTES ? p + OBJ_BLOCK_BYTES : end;
         parser.status = bsq_check(slot->ctx);
         while (p && p < parser.end && slot->arrays.face_count <= slot->last_face) {
             p = parse_plain_lines(&parser, p);
             if (p >= parser.end)
                 break;
-            line = slot->part.lines;
+            line = slot->block.lines;
             p = parse_line(&parser, skip_blanks(&parser, p));
         }
     }
     if (parser.vertices > slot->arrays.vertex_bound)
         slot->arrays.vertex_bound = parser.vertices;
-    slot->at = line + (slot->part.first_line ? slot->part.first_line : 1);
+    slot->at = line + (slot->block.first_line ? slot->block.first_line : 1);
     return parser.status;
 }

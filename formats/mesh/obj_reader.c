@@ -1,4 +1,4 @@
-/* obj_reader.c - reads Wavefront OBJ files as an ordered stream of parsed parts.
+/* obj_reader.c - reads Wavefront OBJ files as an ordered stream of parsed blocks.
  *
  * Understood: v with 2 to 7 numbers, vt, vn, f with all four forms of indices and any number
  * of corners, negative indices, usemtl, mtllib; CRLF, tabs, line continuation, comments, exponents.
@@ -46,24 +46,24 @@ static uint64_t find_lines(struct stream_slot *slot, uint64_t have, bool at_file
     return at_file_end || (size == 0 && memchr(slot->bytes, '\0', have)) ? have : size;
 }
 
-int fmt_obj_cut(const struct stream_part *before, struct stream_slot *slot)
+int fmt_obj_cut(const struct stream_block *before, struct stream_slot *slot)
 {
-    slot->part.first_item = before->end > 0 ? before->first_item + 1 : 0;
-    slot->part.offset = before->end;
-    return fmt_stream_cut_text(slot, OBJ_PART_BYTES, find_lines);
+    slot->block.first_item = before->end > 0 ? before->first_item + 1 : 0;
+    slot->block.offset = before->end;
+    return fmt_stream_cut_text(slot, OBJ_BLOCK_BYTES, find_lines);
 }
 
 static int parse(struct stream_slot *slot)
 {
     int status = fmt_stream_load(slot);
     return status ? status
-                  : fmt_obj_parse_text(slot, 0, slot->part.size, slot->source->reader->objects);
+                  : fmt_obj_parse_text(slot, 0, slot->block.size, slot->source->reader->objects);
 }
 
 /* ---- passing in order ---- */
 
 /* Reports a relative vertex index that points before the start of the file: at corner number
- * `corner` of the part. Returns BSQ_EDATA. */
+ * `corner` of the block. Returns BSQ_EDATA. */
 static int fail_relative(const struct stream_slot *slot, uint64_t corner)
 {
     const enum fmt_mesh_kind kind = FMT_MESH_VERTEX;
@@ -73,7 +73,7 @@ static int fail_relative(const struct stream_slot *slot, uint64_t corner)
     uint64_t face = 0;
     for (uint64_t end = a->face_sizes[0]; end <= corner; end += a->face_sizes[face])
         face++;
-    int status = fmt_stream_parse_again(slot->source, &slot->part, face, &again);
+    int status = fmt_stream_parse_again(slot->source, &slot->block, face, &again);
     const uint64_t count = again.arrays.count[kind];
     fmt_stream_free_slot(&again);
     if (status)
@@ -101,7 +101,7 @@ static int resolve_corners(const struct stream_slot *slot, enum fmt_mesh_kind ki
 }
 
 /* Sets *number to the number of the current object with its material. */
-static int enter_part(struct stream_source *source, uint64_t *number)
+static int enter_object(struct stream_source *source, uint64_t *number)
 {
     struct obj_file *file = source->data;
     const char *object = file->object ? file->object : "";
@@ -138,7 +138,7 @@ static int add_change(struct stream_slot *slot, const struct stream_statement *s
     }
     number = file->material;
     if (objects)
-        BSQ_PASS(enter_part(source, &number));
+        BSQ_PASS(enter_object(source, &number));
     while (source->number_count < (objects ? file->objects.count : file->materials.count))
         BSQ_PASS(fmt_stream_add_material(source, &file->number));
     file->number = number == FMT_MESH_NO_MATERIAL ? FMT_MESH_NO_MATERIAL : source->numbers[number];
@@ -151,7 +151,7 @@ static int add_change(struct stream_slot *slot, const struct stream_statement *s
 static int resolve_statement(struct stream_slot *slot, const struct stream_statement *statement)
 {
     struct obj_file *file = slot->source->data;
-    const uint64_t line = slot->part.first_line + statement->line;
+    const uint64_t line = slot->block.first_line + statement->line;
     char *text = NULL;
     int status;
     BSQ_TRY(bsq_check(slot->ctx));
@@ -171,7 +171,7 @@ done:
     return status;
 }
 
-/* Enters the names in the statements of the part. Counts its faces without a material. */
+/* Enters the names in the statements of the block. Counts its faces without a material. */
 static int resolve_statements(struct stream_slot *slot)
 {
     struct obj_file *file = slot->source->data;
@@ -219,14 +219,14 @@ static int pass(struct stream_slot *slot)
     struct stream_source *source = slot->source;
     struct obj_file *file = source->data;
     const uint64_t unknown = slot->odd[OBJ_UNKNOWN].count;
-    if (slot->part.first_item == 0)
+    if (slot->block.first_item == 0)
         begin_reading(source);
-    slot->part.first_line = source->lines + 1;
+    slot->block.first_line = source->lines + 1;
     slot->at += source->lines;
     for (int i = 0; i < STREAM_ODDITY_COUNT; i++)
         slot->odd[i].at += source->lines;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
-        if (slot->part.carry_out >> kind & 1)
+        if (slot->block.carry_out >> kind & 1)
             BSQ_PASS(resolve_corners(slot, (enum fmt_mesh_kind)kind));
     if (slot->error[0])
         return 0;
@@ -259,19 +259,19 @@ static int finish(struct stream_source *source)
 /* Samples of a plain file. Of others, the start is sampled. */
 enum { SAMPLES = 32, SAMPLE_BYTES = 8192 };
 
-/* Parses the whole lines of a sample, from part.offset of the file. Returns in *parsed their bytes,
- * and in *follows whether elements follow faces of earlier samples. */
+/* Parses the whole lines of a sample, from block.offset of the file. Returns in *parsed their
+ * bytes, and in *follows whether elements follow faces of earlier samples. */
 static int parse_sample(struct stream_slot *slot, uint64_t size, uint64_t *parsed, bool *follows)
 {
     const struct mesh_arrays *a = &slot->arrays;
     const uint64_t faces = a->face_count, elements = a->count[0] + a->count[1] + a->count[2];
     const uint8_t *end = memrchr(slot->bytes, '\n', size), *begin = slot->bytes;
-    if (slot->part.offset > 0)
+    if (slot->block.offset > 0)
         begin = memchr(slot->bytes, '\n', size);
     *parsed = 0;
     if (!begin)
         return 0;
-    begin += slot->part.offset > 0;
+    begin += slot->block.offset > 0;
     if (!end || end < begin)
         return 0;
     *parsed = (uint64_t)(end - begin) + 1;
@@ -312,12 +312,12 @@ int fmt_obj_estimate(struct stream_source *source, uint64_t bytes, bool plain,
         return status;
     do {
         BSQ_TRY(fmt_stream_reserve(&slot, size));
-        BSQ_TRY(fmt_input_read_some(source->input, slot.bytes, size, slot.part.offset, &got));
+        BSQ_TRY(fmt_input_read_some(source->input, slot.bytes, size, slot.block.offset, &got));
         BSQ_TRY(parse_sample(&slot, got, &more, &follows));
         parsed += more;
         out->faces_come_last &= !follows;
-        slot.part.offset += step;
-    } while (plain && slot.part.offset < bytes);
+        slot.block.offset += step;
+    } while (plain && slot.block.offset < bytes);
     add_estimate(&slot.arrays, !plain && got == size, bytes, parsed, out);
 done:
     fmt_stream_free_slot(&slot);

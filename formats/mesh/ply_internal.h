@@ -1,5 +1,5 @@
-/* ply_internal.h - private to the PLY reader: the header of a file, and how the parts of the reader
- * share it.
+/* ply_internal.h - private to the PLY reader: the header of a file, and how the blocks of the
+ * reader share it.
  *
  * The format is described by Turk, "The PLY Polygon File Format", 1994. Its header lists elements,
  * such as "vertex", with their number and properties. A property is a number or a list of numbers.
@@ -205,12 +205,12 @@ enum {
     PLY_LOST_TEXTURES /* faces whose texture the file does not name */
 };
 
-/* The kind of a part: the number of its element, or this: the bytes after the last element. */
-#define PLY_PART_REST (UINT32_MAX - 1)
+/* The kind of a block: the number of its element, or this: the bytes after the last element. */
+#define PLY_BLOCK_REST (UINT32_MAX - 1)
 
 /* ---- ply_parse.c ---- */
 
-/* Parses a loaded part of an element that is read. */
+/* Parses a loaded block of an element that is read. */
 int fmt_ply_parse(const struct ply_element *element, struct stream_slot *slot);
 
 #endif

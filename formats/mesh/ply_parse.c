@@ -1,8 +1,8 @@
-/* ply_parse.c - turns parts of PLY files into vertices and faces.
+/* ply_parse.c - turns blocks of PLY files into vertices and faces.
  *
  * Text and binary files differ only in how the next number is read. Vertices of equal size are
- * converted property by property, in loops over the whole part, and runs of triangles without other
- * properties by a loop of their own, as most scans have nothing else. */
+ * converted property by property, in loops over the whole block, and runs of triangles without
+ * other properties by a loop of their own, as most scans have nothing else. */
 #include <inttypes.h>
 #include <math.h>
 
@@ -21,14 +21,14 @@ struct column {
     uint64_t step;
 };
 
-/* A position in a part. */
+/* A position in a block. */
 struct cursor {
     const struct ply_source *source;
     struct stream_slot *slot;
     struct mesh_arrays *arrays; /* of the slot */
     const uint8_t *at, *end;
     uint64_t line; /* of text, from the start of the file */
-    char line_end; /* of text, which follows the part */
+    char line_end; /* of text, which follows the block */
     bool text, swap;
     int status;
     struct column columns[PLY_ROLE_COUNT]; /* of vertices */
@@ -50,7 +50,7 @@ struct face {
 /* Returns the line, or the byte of the file, at the cursor. */
 static uint64_t place(const struct cursor *c)
 {
-    return c->text ? c->line : c->slot->part.offset + (uint64_t)(c->at - c->slot->bytes);
+    return c->text ? c->line : c->slot->block.offset + (uint64_t)(c->at - c->slot->bytes);
 }
 
 static bool at_line_end(const struct cursor *c)
@@ -112,7 +112,7 @@ static bool skip_word(struct cursor *c)
 }
 
 /* These functions read or skip numbers of a type at the cursor. They return false, with slot->error
- * set, if text is wrong. Binary parts are as long as their elements: the cut has seen to that. */
+ * set, if text is wrong. Binary blocks are as long as their elements: the cut has seen to that. */
 
 static inline bool read_real(struct cursor *c, enum ply_type type, double *out)
 {
@@ -157,9 +157,9 @@ static inline bool read_length(struct cursor *c, const struct ply_property *p, u
 static inline __attribute__((always_inline)) bool read_list_words(struct cursor *c, uint64_t count,
                                                                   int64_t *integers, double *reals)
 {
-    enum { NUMBERS_A_LOOK = 65536 };
+    enum { NUMBERS_A_CHECK = 65536 };
     for (uint64_t i = 0; i < count; i++) {
-        if (__builtin_expect(i % NUMBERS_A_LOOK == NUMBERS_A_LOOK - 1, 0) &&
+        if (__builtin_expect(i % NUMBERS_A_CHECK == NUMBERS_A_CHECK - 1, 0) &&
             (c->status = bsq_check(c->slot->ctx)) != 0)
             return false;
         if (integers ? !read_integer_word(c, &integers[i])
@@ -259,7 +259,7 @@ static bool copy_positions(struct mesh_arrays *a, const uint8_t *from,
 static uint64_t read_equal_vertices(const struct cursor *c, const struct ply_element *element)
 {
     const struct ply_property *p = c->source->header.properties + element->first_property;
-    const uint64_t each = element->least_bytes, count = c->slot->part.items;
+    const uint64_t each = element->least_bytes, count = c->slot->block.items;
     const bool copied = copy_positions(c->arrays, c->at, element, count, c->swap);
     for (uint32_t i = 0; i < element->property_count; i++)
         if (p[i].role != PLY_UNUSED && !(copied && p[i].role <= PLY_Z))
@@ -283,7 +283,7 @@ static bool read_vertex(struct cursor *c, const struct ply_element *element, uin
     return true;
 }
 
-/* Ends a part with this many vertices. */
+/* Ends a block with this many vertices. */
 static void finish_vertices(const struct cursor *c, const struct ply_element *element,
                             uint64_t count)
 {
@@ -470,7 +470,7 @@ static bool read_face(struct cursor *c, const struct ply_element *element)
     return good && finish_face(c, &face);
 }
 
-/* ---- parts ---- */
+/* ---- blocks ---- */
 
 /* Moves to the next line with text. Returns false if there is none. */
 static bool next_line(struct cursor *c)
@@ -505,7 +505,7 @@ static bool read_element(struct cursor *c, const struct ply_element *element, ui
 /* Reads elements one by one; returns how many there are. */
 static uint64_t read_elements(struct cursor *c, const struct ply_element *element)
 {
-    const uint64_t items = c->slot->part.items;
+    const uint64_t items = c->slot->block.items;
     bool plain = are_plain(c, element);
     uint64_t left = items;
     for (; left > 0; left--) {
@@ -516,7 +516,7 @@ static uint64_t read_elements(struct cursor *c, const struct ply_element *elemen
     return items - left;
 }
 
-/* Returns more than the lists of the part can have numbers. */
+/* Returns more than the lists of the block can have numbers. */
 static uint64_t most_numbers(const struct cursor *c, const struct ply_element *element)
 {
     static const enum ply_role lists[] = {PLY_INDICES, PLY_CORNER_TEXCOORDS};
@@ -526,16 +526,16 @@ static uint64_t most_numbers(const struct cursor *c, const struct ply_element *e
         if (p && fmt_ply_type_bytes[p->type] < least)
             least = fmt_ply_type_bytes[p->type];
     }
-    return c->slot->part.size / least + 1;
+    return c->slot->block.size / least + 1;
 }
 
-/* Ensures capacity for all elements of the part. */
+/* Ensures capacity for all elements of the block. */
 static int reserve(const struct cursor *c, const struct ply_element *element)
 {
     const struct ply_source *source = c->source;
     struct bsq_ctx *ctx = c->slot->ctx;
     struct mesh_arrays *a = c->arrays;
-    const uint64_t count = c->slot->part.items, numbers = most_numbers(c, element);
+    const uint64_t count = c->slot->block.items, numbers = most_numbers(c, element);
     if (element->kind == PLY_VERTICES) {
         BSQ_PASS(FMT_RESERVE(ctx, count, a->positions, a->position_capacity));
         if (element->role[PLY_RED])
@@ -566,8 +566,8 @@ int fmt_ply_parse(const struct ply_element *element, struct stream_slot *slot)
                        .slot = slot,
                        .arrays = &slot->arrays,
                        .at = slot->bytes,
-                       .end = slot->bytes + slot->part.size,
-                       .line = slot->part.first_line,
+                       .end = slot->bytes + slot->block.size,
+                       .line = slot->block.first_line,
                        .line_end = source->header.line_end,
                        .text = source->header.encoding == PLY_ASCII,
                        .swap = source->header.encoding == PLY_BIG_ENDIAN};
@@ -579,8 +579,8 @@ int fmt_ply_parse(const struct ply_element *element, struct stream_slot *slot)
     for (int role = 0; role < PLY_ROLE_COUNT && element->kind == PLY_VERTICES; role++)
         if (element->role[role])
             c.columns[role] = find_column(c.arrays, (enum ply_role)role);
-    memset(slot->bytes + slot->part.size, 0, STREAM_PADDING);
-    slot->bytes[slot->part.size] = (uint8_t)c.line_end;
+    memset(slot->bytes + slot->block.size, 0, STREAM_PADDING);
+    slot->bytes[slot->block.size] = (uint8_t)c.line_end;
     if (element->kind == PLY_VERTICES && element->list_count == 0 && !c.text)
         count = read_equal_vertices(&c, element);
     else

@@ -1,4 +1,4 @@
-/* ply_reader.c - reads PLY files as an ordered stream of parsed parts.
+/* ply_reader.c - reads PLY files as an ordered stream of parsed blocks.
  *
  * Understood: text and binary of both byte orders, numbers of any type, elements in any order.
  * Vertices have positions, normals, colours and texture coordinates. Faces have any number of
@@ -59,8 +59,8 @@ static void end(struct stream_source *source)
 
 /* ---- cutting ----
  *
- * Binary elements without lists have equal sizes, so their parts need not be loaded here. The sizes
- * of others are found by walking over their lists. Text is cut by counting lines. */
+ * Binary elements without lists have equal sizes, so their blocks need not be loaded here. The
+ * sizes of others are found by walking over their lists. Text is cut by counting lines. */
 
 /* The state of one cut. */
 struct cutter {
@@ -69,10 +69,10 @@ struct cutter {
     const struct ply_header *header;
     const struct ply_element *element;
     struct stream_slot *slot;
-    struct stream_part *part; /* of the slot */
-    uint64_t limit;           /* elements that are left */
-    uint64_t have;            /* bytes loaded */
-    bool at_file_end;         /* the file ends with them, for certain */
+    struct stream_block *block; /* of the slot */
+    uint64_t limit;             /* elements that are left */
+    uint64_t have;              /* bytes loaded */
+    bool at_file_end;           /* the file ends with them, for certain */
     bool swap;
 };
 
@@ -81,7 +81,7 @@ static uint64_t smaller(uint64_t a, uint64_t b)
     return a < b ? a : b;
 }
 
-/* Loads `size` bytes from the part's start on, or fewer at the end of the file. */
+/* Loads `size` bytes from the block's start on, or fewer at the end of the file. */
 static int load(struct cutter *c, uint64_t size)
 {
     return fmt_stream_extend(c->slot, c->have, size, &c->have, &c->at_file_end);
@@ -91,38 +91,38 @@ static int load(struct cutter *c, uint64_t size)
 static uint64_t known_size(const struct cutter *c)
 {
     const uint64_t size = fmt_input_size(c->source->input);
-    return size < UINT64_MAX ? size : c->part->offset + c->have;
+    return size < UINT64_MAX ? size : c->block->offset + c->have;
 }
 
-/* Makes a part of the first `items` elements, which take `size` loaded bytes. */
+/* Makes a block of the first `items` elements, which take `size` loaded bytes. */
 static int take(struct cutter *c, uint64_t items, uint64_t size)
 {
-    c->part->items = items;
-    c->part->size = size;
-    c->part->end = c->part->offset + size;
+    c->block->items = items;
+    c->block->size = size;
+    c->block->end = c->block->offset + size;
     c->slot->loaded = true;
     return 1;
 }
 
 static int fail_truncated(struct cutter *c)
 {
-    c->part->end = known_size(c);
+    c->block->end = known_size(c);
     fmt_stream_fail(c->slot,
-                    c->part->first_line ? c->part->first_line + c->part->lines : c->part->end,
+                    c->block->first_line ? c->block->first_line + c->block->lines : c->block->end,
                     "truncated: the file ends after %" PRIu64 " of %" PRIu64 " elements \"%.40s\"",
-                    c->part->first_item, c->element->count, c->element->name);
+                    c->block->first_item, c->element->count, c->element->name);
     return 1;
 }
 
-/* Cuts elements of equal size. Elements that are not read become one part. */
+/* Cuts elements of equal size. Elements that are not read become one block. */
 static int cut_equal(struct cutter *c)
 {
-    const uint64_t each = c->element->least_bytes, usual = STREAM_PART_BYTES / each;
+    const uint64_t each = c->element->least_bytes, usual = STREAM_BLOCK_BYTES / each;
     uint64_t items = smaller(c->limit, usual > 0 ? usual : 1), end, file_size;
     if (c->element->kind == PLY_OTHER)
         items = c->limit;
     if (__builtin_mul_overflow(items, each, &end) ||
-        __builtin_add_overflow(end, c->part->offset, &end))
+        __builtin_add_overflow(end, c->block->offset, &end))
         end = UINT64_MAX;
     BSQ_PASS(fmt_input_reach(c->source->input, end, &file_size));
     if (end > file_size || end == UINT64_MAX)
@@ -148,7 +148,7 @@ static uint64_t element_bytes(struct cutter *c, const uint8_t *from, uint64_t ha
                 return 0;
             int64_t length = ply_integer(from + at, p->count_type, c->swap);
             if (length < 0) {
-                fmt_stream_fail(c->slot, c->part->offset + (uint64_t)(from - c->slot->bytes) + at,
+                fmt_stream_fail(c->slot, c->block->offset + (uint64_t)(from - c->slot->bytes) + at,
                                 "a list of %" PRId64 " numbers", length);
                 return 0;
             }
@@ -204,7 +204,7 @@ static uint64_t count_whole(struct cutter *c, uint64_t *size)
 /* Cuts elements with lists. Loads more if not even the first one is whole. */
 static int cut_lists(struct cutter *c)
 {
-    uint64_t size, items, wanted = STREAM_PART_BYTES;
+    uint64_t size, items, wanted = STREAM_BLOCK_BYTES;
     for (;; wanted *= 2) {
         int status = load(c, wanted);
         if (status)
@@ -216,12 +216,12 @@ static int cut_lists(struct cutter *c)
             return status;
     }
     if (items > 0) {
-        /* What is wrong with the next element is reported with the next part. */
+        /* What is wrong with the next element is reported with the next block. */
         c->slot->error[0] = '\0';
         return take(c, items, size);
     }
     if (c->slot->error[0]) {
-        c->part->end = known_size(c);
+        c->block->end = known_size(c);
         return 1;
     }
     return fail_truncated(c);
@@ -231,25 +231,25 @@ static int cut_lists(struct cutter *c)
 static uint64_t find_lines(struct stream_slot *slot, uint64_t have, bool at_file_end)
 {
     const struct ply_header *header = &((struct ply_source *)slot->source->data)->header;
-    struct stream_part *part = &slot->part;
-    const uint64_t most = header->elements[part->kind].count - part->first_item;
+    struct stream_block *block = &slot->block;
+    const uint64_t most = header->elements[block->kind].count - block->first_item;
     const uint8_t *from = slot->bytes, *limit = from + have;
-    part->items = part->lines = 0;
-    while (part->items < most && from < limit) {
+    block->items = block->lines = 0;
+    while (block->items < most && from < limit) {
         const uint8_t *end = memchr(from, header->line_end, (size_t)(limit - from));
         if (!end && !at_file_end)
             break;
         end = end ? end : limit;
-        part->items += from + fmt_mesh_count_space(from, (uint64_t)(end - from)) < end;
-        part->lines++;
+        block->items += from + fmt_mesh_count_space(from, (uint64_t)(end - from)) < end;
+        block->lines++;
         from = end < limit ? end + 1 : end;
     }
-    return part->items > 0 ? (uint64_t)(from - slot->bytes) : 0;
+    return block->items > 0 ? (uint64_t)(from - slot->bytes) : 0;
 }
 
 static int cut_text(struct cutter *c)
 {
-    int status = fmt_stream_cut_text(c->slot, STREAM_PART_BYTES, find_lines);
+    int status = fmt_stream_cut_text(c->slot, STREAM_BLOCK_BYTES, find_lines);
     if (status != 0)
         return status;
     return fail_truncated(c);
@@ -262,41 +262,41 @@ static bool find_element(struct cutter *c, uint32_t number, uint64_t items)
     for (; number < c->header->element_count; number++, items = 0) {
         c->element = &c->header->elements[number];
         c->limit = c->element->count - items;
-        c->part->kind = number;
-        c->part->first_item = items;
+        c->block->kind = number;
+        c->block->first_item = items;
         if (c->limit > 0 && c->element->property_count > 0)
             return true;
     }
     return false;
 }
 
-/* What follows the last element becomes a part without elements. */
+/* What follows the last element becomes a block without elements. */
 static int cut_rest(struct cutter *c)
 {
     uint64_t file_size;
     int status = fmt_input_reach(c->source->input, UINT64_MAX, &file_size);
-    if (status || c->part->offset >= file_size)
+    if (status || c->block->offset >= file_size)
         return status;
-    c->part->kind = PLY_PART_REST;
-    c->part->end = file_size;
+    c->block->kind = PLY_BLOCK_REST;
+    c->block->end = file_size;
     return 1;
 }
 
-static int cut(const struct stream_part *before, struct stream_slot *slot)
+static int cut(const struct stream_block *before, struct stream_slot *slot)
 {
     const struct ply_header *header = &((struct ply_source *)slot->source->data)->header;
     struct cutter c = {.ctx = slot->ctx,
                        .source = slot->source,
                        .header = header,
                        .slot = slot,
-                       .part = &slot->part,
+                       .block = &slot->block,
                        .swap = header->encoding == PLY_BIG_ENDIAN};
     const bool at_start = before->end == 0, text = header->encoding == PLY_ASCII;
-    if (before->kind == PLY_PART_REST)
+    if (before->kind == PLY_BLOCK_REST)
         return 0;
-    c.part->offset = at_start ? header->bytes : before->end;
+    c.block->offset = at_start ? header->bytes : before->end;
     if (text)
-        c.part->first_line = at_start ? header->lines + 1 : before->first_line + before->lines;
+        c.block->first_line = at_start ? header->lines + 1 : before->first_line + before->lines;
     if (!find_element(&c, before->kind, before->first_item + before->items))
         return cut_rest(&c);
     if (text)
@@ -327,9 +327,9 @@ static int copy_vertex_indices(struct stream_slot *slot)
 static int parse(struct stream_slot *slot)
 {
     const struct ply_header *header = &((struct ply_source *)slot->source->data)->header;
-    if (slot->part.kind == PLY_PART_REST || header->elements[slot->part.kind].kind == PLY_OTHER)
+    if (slot->block.kind == PLY_BLOCK_REST || header->elements[slot->block.kind].kind == PLY_OTHER)
         return 0;
-    const struct ply_element *element = &header->elements[slot->part.kind];
+    const struct ply_element *element = &header->elements[slot->block.kind];
     BSQ_PASS(fmt_stream_load(slot));
     BSQ_PASS(fmt_ply_parse(element, slot));
     slot->local = slot->arrays.count[FMT_MESH_TEXCOORD] > 0 && element->kind != PLY_VERTICES
@@ -342,10 +342,10 @@ static int parse(struct stream_slot *slot)
 static int warn_rest(const struct stream_slot *slot)
 {
     const struct stream_source *source = slot->source;
-    const uint64_t bytes = slot->part.end - slot->part.offset;
+    const uint64_t bytes = slot->block.end - slot->block.offset;
     char sample[256];
     uint64_t got;
-    BSQ_PASS(fmt_input_read_some(source->input, sample, sizeof sample, slot->part.offset, &got));
+    BSQ_PASS(fmt_input_read_some(source->input, sample, sizeof sample, slot->block.offset, &got));
     if (fmt_mesh_count_space(sample, got) < bytes && !source->reader->read_before)
         BSQ_PASS(bsq_warn_loss(source->ctx, "%s: %" PRIu64 " bytes after the last element not read",
                                source->path, bytes));
@@ -420,7 +420,7 @@ static int find_materials(struct stream_slot *slot)
 static int pass(struct stream_slot *slot)
 {
     const struct ply_source *file = slot->source->data;
-    if (slot->part.kind == PLY_PART_REST)
+    if (slot->block.kind == PLY_BLOCK_REST)
         return warn_rest(slot);
     return file->tags != PLY_TAGS_NONE ? find_materials(slot) : 0;
 }

@@ -141,7 +141,7 @@ static int pass(struct stream_slot *slot)
     struct fmt_mesh_totals *totals = slot->source->reader->totals;
     const int status = fmt_obj_format.pass(slot);
     forget_lines(slot);
-    slot->part.first_line = 0;
+    slot->block.first_line = 0;
     totals->has_tangents |= file->head.has_tangents > 0;
     totals->split_vertices = true;
     if (!slot->source->reader->uses_colors)

@@ -1,10 +1,10 @@
-/* stl_reader.c - reads STL files, binary and text, as an ordered stream of parsed parts.
+/* stl_reader.c - reads STL files, binary and text, as an ordered stream of parsed blocks.
  *
  * Understood: several solids in a text, polygons of any size, binary files that begin with "solid",
  * and the colours of two dialects (https://en.wikipedia.org/wiki/STL_(file_format)#Color). Normals
  * of facets are ignored, because they follow from the corners.
  *
- * STL files repeat each vertex for each triangle. Vertices of a part that are equal are made one
+ * STL files repeat each vertex for each triangle. Vertices of a block that are equal are made one
  * here, which leaves about one vertex for a triangle; the rest is left to later stages, which match
  * vertices by position (docs/decisions). So memory does not grow with the file. */
 #include <inttypes.h>
@@ -149,7 +149,7 @@ static int begin(struct stream_source *source)
     return examine(source->ctx, source->input, head, size, source->data);
 }
 
-/* ---- equal vertices of one part ---- */
+/* ---- equal vertices of one block ---- */
 
 /* A vertex whose place is taken this often is not welded: files could be made whose vertices all
  * have one place. Later stages match vertices by position. */
@@ -158,10 +158,10 @@ enum { MOST_PROBES = 256 };
 /* The table: entries are numbers of vertices + 1; 0: empty. At most half of them are used. */
 struct weld {
     uint64_t mask;
-    uint32_t slots[];
+    uint32_t cells[];
 };
 
-/* Prepares slot->work and slot->arrays for a part of up to `most` vertices. */
+/* Prepares slot->work and slot->arrays for a block of up to `most` vertices. */
 static int begin_weld(struct stream_slot *slot, uint64_t most)
 {
     struct mesh_arrays *a = &slot->arrays;
@@ -177,7 +177,7 @@ static int begin_weld(struct stream_slot *slot, uint64_t most)
         BSQ_PASS(FMT_RESERVE(slot->ctx, most, a->colors, a->color_capacity));
     struct weld *weld = (struct weld *)(void *)slot->work;
     weld->mask = entries - 1;
-    memset(weld->slots, 0, entries * sizeof(uint32_t));
+    memset(weld->cells, 0, entries * sizeof(uint32_t));
     return 0;
 }
 
@@ -202,21 +202,21 @@ static bool is_same(const struct mesh_arrays *a, uint64_t vertex, const double p
     /* NOLINTEND(bugprone-suspicious-memory-comparison) */
 }
 
-/* Returns the number, in the part, of the vertex at this position; adds it if it is new. color:
+/* Returns the number, in the block, of the vertex at this position; adds it if it is new. color:
  * NULL unless slot->arrays.has_colors. */
 static uint64_t weld_vertex(struct stream_slot *slot, const double position[3], const float *color)
 {
     struct weld *weld = (struct weld *)(void *)slot->work;
     struct mesh_arrays *a = &slot->arrays;
     uint64_t i = hash_position(position) & weld->mask;
-    for (int probes = 0; probes < MOST_PROBES && weld->slots[i] != 0; probes++) {
-        if (is_same(a, weld->slots[i] - 1, position, color))
-            return weld->slots[i] - 1;
+    for (int probes = 0; probes < MOST_PROBES && weld->cells[i] != 0; probes++) {
+        if (is_same(a, weld->cells[i] - 1, position, color))
+            return weld->cells[i] - 1;
         i = (i + 1) & weld->mask;
     }
     const uint64_t vertex = a->count[FMT_MESH_VERTEX]++;
-    if (weld->slots[i] == 0)
-        weld->slots[i] = (uint32_t)vertex + 1;
+    if (weld->cells[i] == 0)
+        weld->cells[i] = (uint32_t)vertex + 1;
     memcpy(a->positions[vertex], position, sizeof a->positions[vertex]);
     if (color)
         memcpy(a->colors[vertex], color, sizeof a->colors[vertex]);
@@ -225,26 +225,26 @@ static uint64_t weld_vertex(struct stream_slot *slot, const double position[3], 
 
 /* ---- binary files ---- */
 
-/* Cuts after a number of triangles. What follows the last one becomes a part of its own. */
-static int cut_binary(const struct stl_source *file, const struct stream_part *before,
+/* Cuts after a number of triangles. What follows the last one becomes a block of its own. */
+static int cut_binary(const struct stl_source *file, const struct stream_block *before,
                       struct stream_slot *slot)
 {
     uint64_t file_size;
-    struct stream_part *part = &slot->part;
+    struct stream_block *block = &slot->block;
     const uint64_t done = before->first_item + before->items, left = file->triangles - done;
-    const uint64_t usual = STREAM_PART_BYTES / STL_TRIANGLE_BYTES + 1;
-    part->offset = before->end > 0 ? before->end : STL_HEADER_BYTES;
-    part->first_item = done;
-    part->items = left < usual ? left : usual;
-    part->size = part->items * STL_TRIANGLE_BYTES;
-    part->end = part->offset + part->size;
-    int status =
-        fmt_input_reach(slot->source->input, part->items > 0 ? part->end : UINT64_MAX, &file_size);
-    if (status || (part->items == 0 && part->offset >= file_size))
+    const uint64_t usual = STREAM_BLOCK_BYTES / STL_TRIANGLE_BYTES + 1;
+    block->offset = before->end > 0 ? before->end : STL_HEADER_BYTES;
+    block->first_item = done;
+    block->items = left < usual ? left : usual;
+    block->size = block->items * STL_TRIANGLE_BYTES;
+    block->end = block->offset + block->size;
+    int status = fmt_input_reach(slot->source->input, block->items > 0 ? block->end : UINT64_MAX,
+                                 &file_size);
+    if (status || (block->items == 0 && block->offset >= file_size))
         return status;
-    if (part->items == 0)
-        part->end = file_size;
-    else if (part->end > file_size)
+    if (block->items == 0)
+        block->end = file_size;
+    else if (block->end > file_size)
         fmt_stream_fail(slot, file_size,
                         "truncated: the header counts %" PRIu64 " triangles, the file has %" PRIu64,
                         file->triangles, (file_size - STL_HEADER_BYTES) / STL_TRIANGLE_BYTES);
@@ -271,13 +271,13 @@ static bool decode_color(const struct stl_source *file, const uint8_t *triangle,
 static bool any_color(const struct stl_source *file, const struct stream_slot *slot)
 {
     float color[3];
-    for (uint64_t i = 0; i < slot->part.items; i++)
+    for (uint64_t i = 0; i < slot->block.items; i++)
         if (decode_color(file, slot->bytes + i * STL_TRIANGLE_BYTES, color))
             return true;
     return false;
 }
 
-/* Adds triangle number `i` of the part. Returns false if parsing must stop. */
+/* Adds triangle number `i` of the block. Returns false if parsing must stop. */
 static bool add_triangle(const struct stl_source *file, struct stream_slot *slot, uint64_t i)
 {
     struct mesh_arrays *a = &slot->arrays;
@@ -285,7 +285,7 @@ static bool add_triangle(const struct stl_source *file, struct stream_slot *slot
     double position[3];
     float color[3], corner[3];
     decode_color(file, triangle, color);
-    slot->at = slot->part.offset + i * STL_TRIANGLE_BYTES;
+    slot->at = slot->block.offset + i * STL_TRIANGLE_BYTES;
     for (uint64_t k = 0; k < 3; k++) {
         memcpy(corner, triangle + 12 * (k + 1), sizeof corner);
         for (int c = 0; c < 3; c++)
@@ -301,7 +301,7 @@ static bool add_triangle(const struct stl_source *file, struct stream_slot *slot
 static int parse_binary(const struct stl_source *file, struct stream_slot *slot)
 {
     struct mesh_arrays *a = &slot->arrays;
-    const uint64_t count = slot->part.items;
+    const uint64_t count = slot->block.items;
     a->has_colors = any_color(file, slot);
     slot->color_white = 255.0f;
     BSQ_PASS(begin_weld(slot, 3 * count));
@@ -354,15 +354,15 @@ static uint64_t find_facets(struct stream_slot *slot, uint64_t have, bool at_fil
     uint64_t lines = 0;
     for (uint64_t i = 0; i < counted; i++)
         lines += text[i] == '\n';
-    slot->part.lines = lines;
+    slot->block.lines = lines;
     return size;
 }
 
-static int cut_text(const struct stream_part *before, struct stream_slot *slot)
+static int cut_text(const struct stream_block *before, struct stream_slot *slot)
 {
-    slot->part.offset = before->end;
-    slot->part.first_line = before->end == 0 ? 1 : before->first_line + before->lines;
-    return fmt_stream_cut_text(slot, STREAM_PART_BYTES, find_facets);
+    slot->block.offset = before->end;
+    slot->block.first_line = before->end == 0 ? 1 : before->first_line + before->lines;
+    return fmt_stream_cut_text(slot, STREAM_BLOCK_BYTES, find_facets);
 }
 
 struct text {
@@ -384,7 +384,7 @@ static bool fail_word(struct text *t, const char *what)
     return false;
 }
 
-/* Moves to the next word. Returns false at the end of the part. */
+/* Moves to the next word. Returns false at the end of the block. */
 static bool next_word(struct text *t)
 {
     for (; t->at < t->end && (unsigned char)*t->at <= ' ' && *t->at != '\0'; t->at++)
@@ -494,20 +494,20 @@ static bool read_statement(struct text *t)
 static int parse_text(struct stream_slot *slot)
 {
     /* "vertex 0 0 0" takes 13 bytes. */
-    int status = begin_weld(slot, slot->part.size / 13 + 1);
+    int status = begin_weld(slot, slot->block.size / 13 + 1);
     if (status)
         return status;
-    memset(slot->bytes + slot->part.size, 0, STREAM_PADDING);
-    slot->bytes[slot->part.size] = '\n';
+    memset(slot->bytes + slot->block.size, 0, STREAM_PADDING);
+    slot->bytes[slot->block.size] = '\n';
     struct text t = {.ctx = slot->ctx,
                      .slot = slot,
                      .at = (const char *)slot->bytes,
-                     .end = (const char *)slot->bytes + slot->part.size,
-                     .line = slot->part.first_line};
+                     .end = (const char *)slot->bytes + slot->block.size,
+                     .line = slot->block.first_line};
     enum { STATEMENTS_A_CHECK = 4096 };
     bool more = true;
-    if (slot->part.offset == 0)
-        t.at += fmt_mesh_mark(t.at, slot->part.size);
+    if (slot->block.offset == 0)
+        t.at += fmt_mesh_mark(t.at, slot->block.size);
     for (uint64_t i = 0; more && next_word(&t); i++) {
         if (i % STATEMENTS_A_CHECK == 0 && (t.status = bsq_check(slot->ctx)) != 0)
             return t.status;
@@ -520,7 +520,7 @@ static int parse_text(struct stream_slot *slot)
 
 /* ---- reading ---- */
 
-static int cut(const struct stream_part *before, struct stream_slot *slot)
+static int cut(const struct stream_block *before, struct stream_slot *slot)
 {
     const struct stl_source *file = slot->source->data;
     return file->kind == STL_TEXT ? cut_text(before, slot) : cut_binary(file, before, slot);
@@ -543,10 +543,10 @@ static int pass(struct stream_slot *slot)
 {
     const struct stream_source *source = slot->source;
     struct stl_source *file = source->data;
-    file->open_solids = slot->balance + (slot->part.offset > 0 ? file->open_solids : 0);
-    if (file->kind != STL_TEXT && slot->part.items == 0 && !source->reader->read_before)
+    file->open_solids = slot->balance + (slot->block.offset > 0 ? file->open_solids : 0);
+    if (file->kind != STL_TEXT && slot->block.items == 0 && !source->reader->read_before)
         return bsq_warn_loss(source->ctx, "%s: %" PRIu64 " bytes after the last triangle not read",
-                             source->path, slot->part.end - slot->part.offset);
+                             source->path, slot->block.end - slot->block.offset);
     return 0;
 }
 

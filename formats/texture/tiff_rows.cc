@@ -164,9 +164,9 @@ void TiffReader::read_tiles()
 {
     const size_t tile_row = size_t(TIFFTileRowSize64(tiff));
     const size_t across = (width - 1) / tile_width + 1;
-    const size_t part = product(band_rows, tile_row);
-    tile.resize(std::max(size_t(TIFFTileSize64(tiff)), part));
-    band.resize(product(across, part));
+    const size_t column = product(band_rows, tile_row);
+    tile.resize(std::max(size_t(TIFFTileSize64(tiff)), column));
+    band.resize(product(across, column));
     for (size_t i = 0; i < across; i++) {
         if (TIFFReadTile(tiff, tile.data(), uint32_t(i * tile_width), next, 0, 0) < 0)
             fail("damaged image");
@@ -219,21 +219,21 @@ void TiffReader::read_converted(char *row)
         TIFFGetFieldDefaulted(tiff, TIFFTAG_ROWSPERSTRIP, &rows);
     rows = std::max(std::min(rows, height), 1u);
     const uint32_t across = tile_width ? (width - 1) / tile_width + 1 : 1;
-    const size_t part_width = tile_width ? tile_width : width;
-    const size_t part = part_width * (tile_width ? band_rows : rows), line = next % rows;
+    const size_t column_width = tile_width ? tile_width : width;
+    const size_t column = column_width * (tile_width ? band_rows : rows), line = next % rows;
     if (line == 0)
-        raster.resize(product(part, across));
+        raster.resize(product(column, across));
     for (uint32_t i = 0; line == 0 && good && i < across; i++)
-        good = uint32_t(tile_width
-                            ? TIFFReadRGBATileExt(tiff, i * tile_width, next, &raster[i * part], 1)
-                            : TIFFReadRGBAStripExt(tiff, next, raster.data(), 1));
+        good = uint32_t(
+            tile_width ? TIFFReadRGBATileExt(tiff, i * tile_width, next, &raster[i * column], 1)
+                       : TIFFReadRGBAStripExt(tiff, next, raster.data(), 1));
     if (!good)
         fail("damaged image");
     const uint32_t filled =
         tile_width ? band_rows : std::min(rows, height - (next - uint32_t(line)));
     for (size_t x = 0; x < width; x++) {
-        const uint32_t texel =
-            raster[x / part_width * part + (filled - 1 - line) * part_width + x % part_width];
+        const uint32_t texel = raster[x / column_width * column +
+                                      (filled - 1 - line) * column_width + x % column_width];
         *row++ = char(TIFFGetR(texel));
         *row++ = char(TIFFGetG(texel));
         *row++ = char(TIFFGetB(texel));

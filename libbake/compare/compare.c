@@ -210,9 +210,9 @@ static bool pair_all(struct bake_comparison *c)
 
 /* Checks whether nine in ten of the reference's values, decoded, have length 1. Colours hardly ever
  * do. Looks at about 65536 texels. */
-static bool looks_like_normals(const struct bake_comparison *c)
+static bool has_unit_vectors(const struct bake_comparison *c)
 {
-    uint64_t texels = (uint64_t)c->b.width * c->b.height, unit = 0, seen = 0;
+    uint64_t texels = (uint64_t)c->b.width * c->b.height, unit = 0, finite = 0;
     uint64_t step = texels / 65536 + 1;
     for (uint64_t i = 0; i < texels; i += step) {
         float a[3], rgb[3], square = 0;
@@ -220,9 +220,9 @@ static bool looks_like_normals(const struct bake_comparison *c)
         for (int k = 0; k < 3; k++)
             square += (2 * rgb[k] - 1) * (2 * rgb[k] - 1);
         unit += fabsf(square - 1) < 0.05f;
-        seen += isfinite(square) != 0;
+        finite += isfinite(square) != 0;
     }
-    return unit * 10 > seen * 9;
+    return unit * 10 > finite * 9;
 }
 
 /* Map a may be of Bisque, and the reference of another program. */
@@ -237,7 +237,7 @@ static enum bake_compare_kind kind_of_map(struct bake_comparison *c)
         return BAKE_COMPARE_COLOR;
     if (map || !rgb)
         return BAKE_COMPARE_DATA;
-    return looks_like_normals(c) ? BAKE_COMPARE_NORMAL : BAKE_COMPARE_COLOR;
+    return has_unit_vectors(c) ? BAKE_COMPARE_NORMAL : BAKE_COMPARE_COLOR;
 }
 
 /* Refuses maps whose attributes say that their values mean different things: the error would mean

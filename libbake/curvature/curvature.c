@@ -40,7 +40,7 @@ struct probe {
 
 struct work {
     struct bsq_ctx *ctx;
-    const struct bake_curvature *job;
+    const struct bake_curvature *curvature;
     struct bake_curvature_counts *counts;
     uint32_t channels;
     uint64_t most; /* texels that are traced together */
@@ -64,7 +64,7 @@ static struct bsq_vec3 curvature_add(struct bsq_vec3 a, float s, struct bsq_vec3
 
 static struct bsq_vec3 normal_of(const struct work *work, uint64_t texel)
 {
-    const float *n = work->texels + texel * work->channels + work->job->offset + NORMAL;
+    const float *n = work->texels + texel * work->channels + work->curvature->offset + NORMAL;
     return bsq_v3(n[0], n[1], n[2]);
 }
 
@@ -88,7 +88,7 @@ static struct bsq_vec3 outwards(struct bsq_vec3 n, uint32_t number)
 
 static float distance_of(const struct work *work, uint32_t number)
 {
-    return (float)work->job->radius * pair_distances[number / 2];
+    return (float)work->curvature->radius * pair_distances[number / 2];
 }
 
 /* Makes the ray of a probe, which leans outwards by 45 degrees if `lean` is 1, inwards if -1. */
@@ -96,8 +96,8 @@ static struct bake_ray probe_ray(const struct work *work, uint64_t probe, float 
 {
     const uint64_t texel = probe / PROBES;
     const uint32_t number = (uint32_t)(probe % PROBES);
-    const double unit = work->job->surface->unit;
-    const float *position = work->texels + texel * work->channels + work->job->offset;
+    const double unit = work->curvature->surface->unit;
+    const float *position = work->texels + texel * work->channels + work->curvature->offset;
     const struct bsq_vec3 n = normal_of(work, texel), out = outwards(n, number);
     const struct bsq_vec3 d = bsq_unit3(curvature_add(n, lean, out));
     const float distance = distance_of(work, number);
@@ -182,7 +182,7 @@ static int trace_missing(struct work *work, uint64_t texels, uint32_t each, doub
                                                          .t_max = range},
                                                .objects = work->ray_objects};
         BSQ_PASS(bsq_parallel_ranges(work->ctx, count, PROBES_A_TASK, cast_probes, &task));
-        BSQ_PASS(bake_surface_trace(work->job->surface, &rays));
+        BSQ_PASS(bake_surface_trace(work->curvature->surface, &rays));
         BSQ_PASS(bsq_parallel_ranges(work->ctx, count, PROBES_A_TASK, take_probes, &task));
     }
     return 0;
@@ -234,7 +234,7 @@ static int resolve_texels(void *arg, uint64_t begin, uint64_t end, unsigned work
     const struct work *work = arg;
     for (uint64_t i = begin; i < end; ++i)
         if (curvature_is_valid(work, i))
-            work->texels[i * work->channels + work->job->offset] = curvature_of(work, i);
+            work->texels[i * work->channels + work->curvature->offset] = curvature_of(work, i);
     return 0;
 }
 
@@ -243,16 +243,16 @@ static int resolve_texels(void *arg, uint64_t begin, uint64_t end, unsigned work
 /* Traces whole rows of the image, or a part of one row. */
 static int trace_texels(struct work *work, uint32_t x, uint32_t y, uint32_t width, uint32_t rows)
 {
-    const struct bake_curvature *job = work->job;
+    const struct bake_curvature *curvature = work->curvature;
     const uint64_t texels = (uint64_t)width * rows;
     memset(work->probes, 0, texels * PROBES * sizeof *work->probes);
     if (work->objects)
-        BSQ_PASS(job->objects(job->objects_arg, x, y, width, rows, work->objects));
-    BSQ_PASS(trace_missing(work, texels, 1, job->radius));
-    BSQ_PASS(trace_missing(work, texels, 2, sqrt(2.0) * job->radius));
+        BSQ_PASS(curvature->objects(curvature->objects_arg, x, y, width, rows, work->objects));
+    BSQ_PASS(trace_missing(work, texels, 1, curvature->radius));
+    BSQ_PASS(trace_missing(work, texels, 2, sqrt(2.0) * curvature->radius));
     curvature_count_texels(work, texels);
     BSQ_PASS(bsq_parallel_ranges(work->ctx, texels, TEXELS_A_TASK, resolve_texels, work));
-    BSQ_PASS(bake_surface_check(job->surface));
+    BSQ_PASS(bake_surface_check(curvature->surface));
     bsq_progress_add(work->ctx, texels);
     return 0;
 }
@@ -260,7 +260,7 @@ static int trace_texels(struct work *work, uint32_t x, uint32_t y, uint32_t widt
 static int trace_band(void *arg, uint32_t first_row, uint32_t rows, float *texels)
 {
     struct work *work = arg;
-    const uint32_t width = work->job->image->width;
+    const uint32_t width = work->curvature->image->width;
     const uint32_t columns = work->most < width ? (uint32_t)work->most : width;
     for (uint32_t x = 0; x < width; x += columns) {
         work->texels = texels + (size_t)x * work->channels;
@@ -275,9 +275,9 @@ static int trace_band(void *arg, uint32_t first_row, uint32_t rows, float *texel
  * hold leave the other buffers enough of the budget. */
 static int curvature_allocate(struct work *work)
 {
-    const struct bake_image *image = work->job->image;
+    const struct bake_image *image = work->curvature->image;
     const uint64_t all = (uint64_t)image->width * image->height;
-    const uint64_t fitting = bake_surface_capacity(work->job->surface, 0) / 2 / PROBES;
+    const uint64_t fitting = bake_surface_capacity(work->curvature->surface, 0) / 2 / PROBES;
     struct bsq_ctx *ctx = work->ctx;
     work->channels = image->channels;
     work->most = fitting < 1 ? 1 : fitting < all ? fitting : all;
@@ -286,22 +286,22 @@ static int curvature_allocate(struct work *work)
     BSQ_PASS(BSQ_ALLOC(ctx, "hits", rays, &work->hits));
     BSQ_PASS(BSQ_ALLOC(ctx, "points", rays, &work->probes));
     BSQ_PASS(BSQ_ALLOC(ctx, "points", rays, &work->listed));
-    if (!work->job->objects)
+    if (!work->curvature->objects)
         return 0;
     BSQ_PASS(BSQ_ALLOC(ctx, "objects of texels", work->most, &work->objects));
     return BSQ_ALLOC(ctx, "objects of rays", rays, &work->ray_objects);
 }
 
-int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *job,
+int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *curvature,
                          struct bake_curvature_counts *counts)
 {
-    struct work work = {.ctx = ctx, .job = job, .counts = counts};
+    struct work work = {.ctx = ctx, .curvature = curvature, .counts = counts};
     bsq_progress_begin(ctx, "measuring curvature", "texels",
-                       (uint64_t)job->image->width * job->image->height);
+                       (uint64_t)curvature->image->width * curvature->image->height);
     int status = 0;
     BSQ_TRY(curvature_allocate(&work));
-    const uint64_t rows = work.most / job->image->width;
-    status = bake_image_bands(ctx, job->image,
+    const uint64_t rows = work.most / curvature->image->width;
+    status = bake_image_bands(ctx, curvature->image,
                               rows < 1            ? 1
                               : rows < UINT32_MAX ? (uint32_t)rows
                                                   : UINT32_MAX,

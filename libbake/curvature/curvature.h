@@ -35,7 +35,7 @@ struct bake_curvature_counts {
  * scan is convex. If only some of the rays around a hit find the scan, they give the value; if none
  * does, it is 0, and counted. Adds to *counts. Must not be called from parallel work. Errors: those
  * of bake_surface_trace() and bake_image_bands(); BSQ_ENOMEM. */
-int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *job,
+int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *curvature,
                          struct bake_curvature_counts *counts);
 
 /* Returns the usual radius in world units: two texels of the tiles' maps, whose side is the root of

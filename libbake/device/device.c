@@ -25,7 +25,7 @@ enum { DRIVERS = sizeof drivers / sizeof drivers[0] };
 
 struct bake_device {
     struct bsq_ctx *ctx;
-    struct bake_job job;
+    struct bake_scene scene;
     struct bake_tree tree;      /* of the job's grid, for secondary rays */
     struct bake_gpu *gpu;       /* NULL: the processor traces */
     bool automatic;             /* the processor may go on if the GPU fails */
@@ -77,7 +77,7 @@ bool bake_is_device_name(const char *name)
 static int open_processor(struct bake_device *device, char *name, size_t size)
 {
     snprintf(name, size, "cpu, %.100s", bake_native_describe(device->ctx).name);
-    return bake_native_open(device->ctx, &device->job, &device->native);
+    return bake_native_open(device->ctx, &device->scene, &device->native);
 }
 
 /* ---- finding ---- */
@@ -115,7 +115,7 @@ static int open_gpu(struct bake_device *device, const struct bake_driver *driver
     for (uint32_t i = 0; i < list.count && status == 0 && !device->gpu; i++) {
         if (!list.devices[i].is_gpu)
             continue;
-        status = bake_gpu_open(ctx, driver, number_of(driver, &list.devices[i]), &device->job,
+        status = bake_gpu_open(ctx, driver, number_of(driver, &list.devices[i]), &device->scene,
                                &device->gpu);
         if (status == BSQ_OK || status == BSQ_EINTR)
             continue;
@@ -173,7 +173,7 @@ static int open_named(struct bake_device *device, const char *name)
         return bsq_fail(ctx, BSQ_EUSAGE, "device \"%s\" is not " BAKE_DEVICE_NAMES, name);
     BSQ_TRY(bake_probe(ctx, driver->name, driver->title, &list));
     BSQ_TRY(device_choose(ctx, driver, &list, wanted, &number));
-    status = bake_gpu_open(ctx, driver, number, &device->job, &device->gpu);
+    status = bake_gpu_open(ctx, driver, number, &device->scene, &device->gpu);
     if (status == BSQ_RETRY) {
         bsq_warn(ctx, "%s: the processor bakes it", bsq_error(ctx));
         bsq_clear_error(ctx);
@@ -187,9 +187,9 @@ done:
 static int device_find(struct bake_device *device, const char *name)
 {
     int status = 0;
-    if (bake_ray_count(&device->job.params) > 0) {
-        BSQ_TRY(bake_tree_build(device->ctx, device->job.grid, &device->tree));
-        device->job.tree = &device->tree;
+    if (bake_ray_count(&device->scene.params) > 0) {
+        BSQ_TRY(bake_tree_build(device->ctx, device->scene.grid, &device->tree));
+        device->scene.tree = &device->tree;
     }
     if (strcmp(name, "cpu") != 0)
         BSQ_TRY(strcmp(name, "auto") == 0 ? open_any(device) : open_named(device, name));
@@ -201,7 +201,7 @@ done:
     return status;
 }
 
-int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_job *job,
+int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_scene *scene,
                      struct bake_device **out)
 {
     struct bake_device *device;
@@ -211,7 +211,7 @@ int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_jo
     if (status < 0)
         return status;
     device->ctx = ctx;
-    device->job = *job;
+    device->scene = *scene;
     pthread_mutex_init(&device->lock, NULL);
     atomic_init(&device->lost, false);
     status = device_find(device, name);

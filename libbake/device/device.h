@@ -7,7 +7,7 @@
 #define BAKE_DEVICE_DEVICE_H
 
 #include "libbake/device/gpu/gpu.h"
-#include "libbake/device/job/job.h"
+#include "libbake/device/scene/scene.h"
 #include "libbake/device/native/native.h"
 
 struct bake_device;
@@ -17,7 +17,7 @@ struct bake_device;
  * later, the processor goes on. If the grid does not fit a device that was named, the processor
  * takes its place, after a warning. Errors: BSQ_ENODEVICE, with the devices that exist; BSQ_EUSAGE
  * for any other name. */
-int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_job *job,
+int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_scene *scene,
                      struct bake_device **out);
 void bake_device_close(struct bake_device *device); /* NULL is allowed */
 /* Returns the device's name; after it failed also that of the processor, which went on. Must not be

@@ -37,24 +37,24 @@ static struct sizes buffer_sizes(const struct bake_exact *exact)
 }
 
 /* How many slots there are, and how many threads may prepare them at the same time. */
-struct plan {
+struct slot_counts {
     uint32_t slots, preparers;
     uint64_t bytes;
 };
 
 /* Plans up to `most` slots, at least one, that fit `memory` bytes; each thread prepares one. */
-static struct plan plan_slots(const struct bake_exact *exact, uint32_t most, uint32_t threads,
-                              uint64_t memory)
+static struct slot_counts slots_count(const struct bake_exact *exact, uint32_t most,
+                                      uint32_t threads, uint64_t memory)
 {
     const struct sizes sizes = buffer_sizes(exact);
     const uint64_t slot = sizes.slot, scratch = sizes.boxes;
-    struct plan plan = {.slots = most, .preparers = most < threads ? most : threads};
-    while (plan.slots > 1 && plan.slots * slot + plan.preparers * scratch > memory) {
-        plan.slots--;
-        plan.preparers = plan.slots < threads ? plan.slots : threads;
+    struct slot_counts counts = {.slots = most, .preparers = most < threads ? most : threads};
+    while (counts.slots > 1 && counts.slots * slot + counts.preparers * scratch > memory) {
+        counts.slots--;
+        counts.preparers = counts.slots < threads ? counts.slots : threads;
     }
-    plan.bytes = plan.slots * slot + plan.preparers * scratch;
-    return plan;
+    counts.bytes = counts.slots * slot + counts.preparers * scratch;
+    return counts;
 }
 
 /* Bytes of an entry of the buckets, and of a ray's share in these. */
@@ -72,7 +72,7 @@ uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes
 {
     const uint64_t left = bsq_memory_share(exact->ctx, "chunks and rays", 1);
     const uint32_t threads = bsq_threads(exact->ctx);
-    const uint64_t fixed = plan_slots(exact, exact_wave_slots(exact), threads, left / 4).bytes +
+    const uint64_t fixed = slots_count(exact, exact_wave_slots(exact), threads, left / 4).bytes +
                            bake_exact_buckets_scratch_bytes(exact) +
                            (exact->chunk_count + 1) * sizeof(uint64_t) +
                            (exact_bucket_entries(exact, 0) + BAKE_RAY_BUNDLE) * BUCKET_BYTES +
@@ -89,12 +89,12 @@ int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint6
 {
     struct bsq_ctx *ctx = exact->ctx;
     const struct sizes sizes = buffer_sizes(exact);
-    const struct plan plan = plan_slots(exact, most, bsq_threads(ctx), memory);
-    *out = (struct exact_slots){.count = plan.slots, .preparers = plan.preparers};
-    BSQ_PASS(BSQ_CALLOC(ctx, "chunks in memory", plan.slots, &out->slots));
-    BSQ_PASS(bsq_alloc(ctx, "chunks in memory", plan.bytes, 1, &out->memory));
+    const struct slot_counts counts = slots_count(exact, most, bsq_threads(ctx), memory);
+    *out = (struct exact_slots){.count = counts.slots, .preparers = counts.preparers};
+    BSQ_PASS(BSQ_CALLOC(ctx, "chunks in memory", counts.slots, &out->slots));
+    BSQ_PASS(bsq_alloc(ctx, "chunks in memory", counts.bytes, 1, &out->memory));
     char *at = out->memory;
-    for (uint32_t s = 0; s < plan.slots; s++, at += sizes.slot) {
+    for (uint32_t s = 0; s < counts.slots; s++, at += sizes.slot) {
         out->slots[s].chunk_memory = at;
         out->slots[s].tree_memory = at + sizes.chunk;
     }

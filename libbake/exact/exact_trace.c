@@ -162,9 +162,9 @@ static void trace_add_progress(const struct wave *wave, const struct block *bloc
 {
     const struct bake_ray_batch *batch = wave->batch;
     const double pairs = (double)wave->buckets->starts[wave->exact->chunk_count];
-    const double part = (double)wave->bundle_count / (double)exact_bundles(batch->count) / pairs;
-    bsq_progress_add_share(wave->exact->ctx, batch->progress, part * (double)block->begin,
-                           part * (double)block->end);
+    const double share = (double)wave->bundle_count / (double)exact_bundles(batch->count) / pairs;
+    bsq_progress_add_share(wave->exact->ctx, batch->progress, share * (double)block->begin,
+                           share * (double)block->end);
 }
 
 /* Returns the corners of the triangle of a hit. */
@@ -354,9 +354,10 @@ static int clear_hits(void *arg, uint64_t begin, uint64_t end, unsigned worker)
     return 0;
 }
 
-/* Traces the next part of the batch: as many bundles as fit the buckets. Adds their count to *done.
+/* Traces the next bundles of the batch: as many bundles as fit the buckets. Adds their count to
+ * *done.
  */
-static int trace_part(struct wave *wave, struct exact_buckets *buckets, uint64_t *done)
+static int trace_bundles(struct wave *wave, struct exact_buckets *buckets, uint64_t *done)
 {
     wave->bundle_count = exact_bundles(wave->batch->count) - *done;
     BSQ_PASS(bake_exact_sort_rays(wave->exact, wave->batch, *done, &wave->bundle_count, buckets));
@@ -387,7 +388,7 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_ray_batch *batc
     BSQ_TRY(bsq_parallel_ranges(ctx, batch->count - batch->continued, CLEARED, clear_hits,
                                 (void *)(uintptr_t)batch));
     for (uint64_t done = 0; done < exact_bundles(batch->count);)
-        BSQ_TRY(trace_part(&wave, &buckets, &done));
+        BSQ_TRY(trace_bundles(&wave, &buckets, &done));
 done:
     for (int i = 0; wave.locks && i < EXACT_LOCKS; i++)
         pthread_mutex_destroy(&wave.locks[i]);

@@ -76,7 +76,7 @@ static size_t add_distances(const struct fit *fit, uint32_t rays, size_t count)
 
 /* Looks farther outwards from where nothing was found. Takes what is there if most of these probes
  * find something. Replaces the hits. */
-static int look_farther(const struct fit *fit, size_t *count)
+static int trace_farther(const struct fit *fit, size_t *count)
 {
     const double detail = 2.0 * fit->surface->detail;
     uint32_t missing = 0;
@@ -103,7 +103,7 @@ static int choose_lengths(const struct fit *fit, double *front, double *back)
 {
     const struct bake_options *options = fit->options;
     size_t count = add_distances(fit, fit->count, 0);
-    const int status = look_farther(fit, &count);
+    const int status = trace_farther(fit, &count);
     bsq_sort(fit->distances, count, sizeof *fit->distances, compare_floats);
     *front = *back = 0.05 * fit->scan_size;
     if (count >= PROBES / 100) {

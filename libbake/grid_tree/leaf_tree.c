@@ -1,7 +1,7 @@
 /* leaf_tree.c - builds the tree of boxes around the voxels of a grid.
  *
  * The leaves are sorted in Morton order. Nodes are made from the root down: each has a range of
- * that list and divides it where the highest bit changes, until there are eight parts or only
+ * that list and divides it where the highest bit changes, until there are eight ranges or only
  * single leaves. Boxes are then made from the last node up, since children follow their parents. */
 #include "libbake/grid_tree/leaf_tree.h"
 
@@ -21,7 +21,7 @@ struct leaf {
     uint32_t number;
 };
 
-/* A part of the list of leaves. */
+/* A range of the list of leaves. */
 struct range {
     uint64_t begin, end;
 };
@@ -117,12 +117,12 @@ static uint32_t leaves_split(const struct builder *builder, const struct range *
     return bit + 1;
 }
 
-/* Divides a range into at most eight parts, in order. Returns their number. */
-static uint32_t leaves_divide(const struct builder *builder, struct range parts[BAKE_TREE_WIDTH])
+/* Divides a range into at most eight ranges, in order. Returns their number. */
+static uint32_t leaves_divide(const struct builder *builder, struct range ranges[BAKE_TREE_WIDTH])
 {
     uint64_t middles[BAKE_TREE_WIDTH];
     uint32_t levels[BAKE_TREE_WIDTH], count = 1;
-    levels[0] = leaves_split(builder, &parts[0], &middles[0]);
+    levels[0] = leaves_split(builder, &ranges[0], &middles[0]);
     while (count < BAKE_TREE_WIDTH) {
         uint32_t best = 0;
         for (uint32_t i = 1; i < count; i++)
@@ -131,13 +131,13 @@ static uint32_t leaves_divide(const struct builder *builder, struct range parts[
         if (levels[best] == 0)
             break;
         for (uint32_t i = count++; i > best; i--) {
-            parts[i] = parts[i - 1];
+            ranges[i] = ranges[i - 1];
             levels[i] = levels[i - 1];
             middles[i] = middles[i - 1];
         }
-        parts[best].end = parts[best + 1].begin = middles[best];
-        levels[best] = leaves_split(builder, &parts[best], &middles[best]);
-        levels[best + 1] = leaves_split(builder, &parts[best + 1], &middles[best + 1]);
+        ranges[best].end = ranges[best + 1].begin = middles[best];
+        levels[best] = leaves_split(builder, &ranges[best], &middles[best]);
+        levels[best + 1] = leaves_split(builder, &ranges[best + 1], &middles[best + 1]);
     }
     return count;
 }
@@ -169,7 +169,7 @@ static int add_children(struct builder *builder, uint64_t number)
 {
     struct bake_tree *tree = builder->tree;
     struct pending pending = get_pending(&tree->nodes[number]);
-    struct range parts[BAKE_TREE_WIDTH] = {pending.range};
+    struct range ranges[BAKE_TREE_WIDTH] = {pending.range};
     if (pending.range.end - pending.range.begin == 1) {
         const struct leaf *leaf = &builder->leaves[pending.range.begin];
         struct bake_tree_node *node = &tree->nodes[number];
@@ -178,10 +178,10 @@ static int add_children(struct builder *builder, uint64_t number)
         node->corner[2] |= 1;
         return 0;
     }
-    pending.children = leaves_divide(builder, parts);
+    pending.children = leaves_divide(builder, ranges);
     memcpy(tree->nodes[number].borders, &pending, sizeof pending);
     tree->nodes[number].first = (uint32_t)tree->count;
-    return leaves_append(builder, parts, pending.children);
+    return leaves_append(builder, ranges, pending.children);
 }
 
 /* ---- boxes ---- */

@@ -46,7 +46,7 @@ struct bake_tree_ray {
     int32_t near[3]; /* byte offsets of the borders that the ray meets first */
     float t_last;
     int32_t far[3]; /* and last */
-    uint32_t slot;
+    uint32_t result;
 };
 _Static_assert(sizeof(struct bake_tree_ray) == 128 && offsetof(struct bake_tree_ray, start) == 16 &&
                    offsetof(struct bake_tree_ray, near) == 96 &&

@@ -390,7 +390,7 @@ static void find_margins(const struct bake_tree *tree, bk_vec3 start, float marg
 
 /* Appends rays `first` and following ones of a point, at most BK_WIDTH. */
 static void add_rays(struct bake_tree_tracer *tracer, const bk_viewpoint *point,
-                     const float margins[3], uint32_t first, uint32_t slot)
+                     const float margins[3], uint32_t first, uint32_t result)
 {
     struct bake_tree_stream *stream = tracer->stream;
     const bk_rays *kind = tracer->kind;
@@ -411,13 +411,13 @@ static void add_rays(struct bake_tree_tracer *tracer, const bk_viewpoint *point,
     const bk_uint walked = bk_begin_walk(tracer->params, &line, &walk, t_near, t_end, &t, &cursor);
     const bk_mask through = bk_mask_of(kind->open ? 0u : ~0u) & bk_not(bk_less(t_far, limit));
     const bk_fw found = bk_select(through, limit, bk_splat(-1.0f));
-    memcpy(&tracer->results[slot], &found, count * sizeof(float));
+    memcpy(&tracer->results[result], &found, count * sizeof(float));
 
     /* The cursor of a ray that is not walked is that of the next one. */
-    bk_int slots[BK_WIDTH];
+    bk_int places[BK_WIDTH];
     void *to[BK_WIDTH];
     for (bk_uint lane = 0; lane < BK_WIDTH; lane++) {
-        slots[lane] = (bk_int)(slot + lane);
+        places[lane] = (bk_int)(result + lane);
         to[lane] = &stream->rays[tracer->rays];
         tracer->rays += walked >> lane & 1;
     }
@@ -438,20 +438,20 @@ static void add_rays(struct bake_tree_tracer *tracer, const bk_viewpoint *point,
     STORE_ROW(near, down_x & BAKE_TREE_WIDTH, (down_y & BAKE_TREE_WIDTH) + 2 * BAKE_TREE_WIDTH,
               (down_z & BAKE_TREE_WIDTH) + 4 * BAKE_TREE_WIDTH, t_end);
     STORE_ROW(far, ~down_x & BAKE_TREE_WIDTH, (~down_y & BAKE_TREE_WIDTH) + 2 * BAKE_TREE_WIDTH,
-              (~down_z & BAKE_TREE_WIDTH) + 4 * BAKE_TREE_WIDTH, bk_load_lanes(slots));
+              (~down_z & BAKE_TREE_WIDTH) + 4 * BAKE_TREE_WIDTH, bk_load_lanes(places));
 }
 
-/* Appends rays `first` and following ones of a point, BAKE_TREE_BUNDLE at most. slot: of its first
- * ray. */
+/* Appends rays `first` and following ones of a point, BAKE_TREE_BUNDLE at most. result: of its
+ * first ray. */
 static void rays_add_point(struct bake_tree_tracer *tracer, const bk_viewpoint *point,
-                           uint32_t first, uint32_t slot)
+                           uint32_t first, uint32_t result)
 {
     const bk_uint left = tracer->kind->count - first;
     const bk_uint end = first + (left < BAKE_TREE_BUNDLE ? left : BAKE_TREE_BUNDLE);
     float margins[3];
     find_margins(tracer->tree, bk_ray_start(tracer->kind, point), margins);
     for (bk_uint ray = first; ray < end; ray += BK_WIDTH)
-        add_rays(tracer, point, margins, ray, slot + ray);
+        add_rays(tracer, point, margins, ray, result + ray);
     for (int axis = 0; axis < 3; axis++)
         tracer->margins[axis] = bk_max(tracer->margins[axis], 2.0f * margins[axis]);
 }

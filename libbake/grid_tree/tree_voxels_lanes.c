@@ -98,7 +98,7 @@ static void voxels_load_group(const struct bake_tree_tracer *tracer, uint32_t fi
 static void note_hidden(const struct bake_tree_tracer *tracer, uint32_t number)
 {
     struct bake_tree_ray *ray = &tracer->stream->rays[number];
-    tracer->results[ray->slot] = 0.0f;
+    tracer->results[ray->result] = 0.0f;
     ray->t_stop = ray->t_last = ray->t_before = BAKE_TREE_DONE;
 }
 
@@ -110,7 +110,7 @@ static void voxels_note_hit(const struct bake_tree_tracer *tracer, uint32_t numb
     if (!tracer->nearest) {
         note_hidden(tracer, number);
     } else if (t_event < ray->t_stop || (t_event == ray->t_stop && axis < ray->stop_axis)) {
-        tracer->results[ray->slot] = bk_min(t, tracer->kind->limit);
+        tracer->results[ray->result] = bk_min(t, tracer->kind->limit);
         ray->t_stop = t_event;
         ray->stop_axis = axis;
         ray->t_last = bk_max(t_event, ray->t_begin);

@@ -21,12 +21,12 @@ static const double load_seconds = 0.16e-6, reach_seconds = 0.65e-6, look_second
 
 /* A bake or a part, as far as scans are concerned. */
 struct share {
-    const struct bake_work *job;
+    const struct bake_job *job;
     double part; /* of all texels */
     uint64_t texels, samples;
 };
 
-static bool looks_around(const struct bake_work *job)
+static bool looks_around(const struct bake_job *job)
 {
     return (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS)) != 0;
 }
@@ -34,7 +34,7 @@ static bool looks_around(const struct bake_work *job)
 /* Returns the seconds of rays against one scan, without those of loading it. */
 static double ray_seconds(const struct share *share, const struct speed *speed)
 {
-    const struct bake_work *job = share->job;
+    const struct bake_job *job = share->job;
     const struct bake_options *options = job->options;
     double sample = speed->sample, texel = 0;
     if (looks_around(job))
@@ -71,7 +71,7 @@ static double scan_seconds(const struct share *share, const struct bake_scan *sc
     return ray_seconds(share, &grid_speed);
 }
 
-double bake_expect_seconds(const struct bake_work *job, uint64_t texels, uint64_t all)
+double bake_expect_seconds(const struct bake_job *job, uint64_t texels, uint64_t all)
 {
     const uint64_t samples = (uint64_t)job->options->samples * job->options->samples;
     const struct share share = {job, all > 0 ? (double)texels / (double)all : 0, texels,
@@ -83,7 +83,7 @@ double bake_expect_seconds(const struct bake_work *job, uint64_t texels, uint64_
 }
 
 /* Returns the texels that triangles of the low-poly mesh cover, without those that they share. */
-static uint64_t covered_texels(const struct bake_work *job)
+static uint64_t covered_texels(const struct bake_job *job)
 {
     double sum = 0, most = 0;
     for (uint32_t i = 0; i < job->udim.count; i++)
@@ -96,7 +96,7 @@ static uint64_t covered_texels(const struct bake_work *job)
     return (uint64_t)fmin(sum, most);
 }
 
-void bake_expect_work(const struct bake_work *job)
+void bake_expect_work(const struct bake_job *job)
 {
     struct bake_report *report = job->report;
     const struct bake_options *options = job->options;

@@ -75,7 +75,7 @@ static int open_scans(struct bsq_ctx *ctx, const struct bake_options *options,
 static void warn_unused(const struct bake_surface *surface, const struct bake_options *options,
                         const bool *given)
 {
-    struct bake_scans_seen scans = {.normals = true};
+    struct bake_scans_found scans = {.normals = true};
     for (uint32_t s = 0; s < surface->scan_count; s++) {
         const struct bake_exact *exact = surface->scans[s].exact;
         scans.grid |= exact == NULL;
@@ -84,8 +84,8 @@ static void warn_unused(const struct bake_surface *surface, const struct bake_op
     bake_warn_of_options(surface->ctx, options, given, &scans);
 }
 
-int bake_look(struct bsq_ctx *ctx, struct bake_options *options, const bool *given,
-              int (*add)(void *arg, const char *name), void *arg)
+int bake_inspect(struct bsq_ctx *ctx, struct bake_options *options, const bool *given,
+                 int (*add)(void *arg, const char *name), void *arg)
 {
     struct bake_surface surface;
     int status = open_scans(ctx, options, &surface);
@@ -103,7 +103,7 @@ done:
 }
 
 /* Reports why the scans have no ids together: one has none, or two tell different things apart. */
-static int fail_ids(const struct bake_work *job, const char *map)
+static int fail_ids(const struct bake_job *job, const char *map)
 {
     const struct bake_scan *scans = job->surface.scans, *lacking = NULL, *other = scans;
     for (const struct bake_scan *s = scans; s < scans + job->surface.scan_count; ++s) {
@@ -121,7 +121,7 @@ static int fail_ids(const struct bake_work *job, const char *map)
 }
 
 /* Checks that the scans can give a map. Errors: BSQ_EDATA if one lacks something. */
-static int check_map(const struct bake_work *job, unsigned map)
+static int check_map(const struct bake_job *job, unsigned map)
 {
     const struct bake_map_row *row = &bake_map_table[map];
     const struct bake_surface *surface = &job->surface;
@@ -132,7 +132,7 @@ static int check_map(const struct bake_work *job, unsigned map)
 }
 
 /* Chooses the maps, after the scan was opened. */
-static int choose_maps(struct bake_work *job)
+static int choose_maps(struct bake_job *job)
 {
     struct bake_options chosen = *job->options;
     if (leaves_choice(job->options))
@@ -145,7 +145,7 @@ static int choose_maps(struct bake_work *job)
 }
 
 /* Makes hits carry what the maps need. */
-static int use_attributes(struct bake_work *job)
+static int use_attributes(struct bake_job *job)
 {
     int status = bake_surface_use(&job->surface, job->options, job->maps);
     return status == 0 && job->maps & BAKE_MAP_ID
@@ -176,7 +176,7 @@ static int begin_tile(struct bsq_ctx *ctx, const struct bake_options *options, u
 }
 
 /* Notes the tiles and their sizes in the report. */
-static int report_tiles(struct bake_work *job)
+static int report_tiles(struct bake_job *job)
 {
     struct bake_report *report = job->report;
     assert(job->udim.count > 0);
@@ -209,7 +209,7 @@ static int compare_paths(const void *a, const void *b)
 
 /* Reports two sets of maps whose names became one, such as "a/b" and "a<b", which
  * both become "a_b". */
-static int fail_twice(const struct bake_work *job, const struct bake_tile *a,
+static int fail_twice(const struct bake_job *job, const struct bake_tile *a,
                       const struct bake_tile *b)
 {
     if (a->object && a->material)
@@ -224,7 +224,7 @@ static int fail_twice(const struct bake_work *job, const struct bake_tile *a,
 }
 
 /* Checks that names of objects and materials are different also as parts of file names. */
-static int check_tile_paths(struct bake_work *job)
+static int check_tile_paths(struct bake_job *job)
 {
     const struct bake_tile **tiles;
     int status = bsq_alloc(job->ctx, "names of maps", job->udim.count, sizeof(void *), &tiles);
@@ -240,7 +240,7 @@ static int check_tile_paths(struct bake_work *job)
     return status;
 }
 
-static int begin_tiles(struct bake_work *job)
+static int begin_tiles(struct bake_job *job)
 {
     const struct bake_low_set *sets = job->mesh.sets;
     BSQ_PASS(bake_udim_find(job->ctx, job->options, &job->mesh, &job->udim));
@@ -255,7 +255,7 @@ static int begin_tiles(struct bake_work *job)
 }
 
 /* Opens the skew maps of all tiles. */
-static int open_skew(struct bake_work *job)
+static int open_skew(struct bake_job *job)
 {
     const uint32_t count = job->udim.count;
     uint32_t *numbers;
@@ -299,7 +299,7 @@ struct name {
     size_t length;
 };
 
-static struct name scan_name(const struct bake_work *job, uint32_t scan)
+static struct name scan_name(const struct bake_job *job, uint32_t scan)
 {
     const char *path = job->surface.scans[scan].path;
     const char *at = bsq_file_name(path), *dot = strrchr(at, '.');
@@ -338,7 +338,7 @@ static bool inputs_match(const struct bake_options *options, const char *object,
 
 /* Lets a scan be seen only by the objects that share most of its name with it: "body_arm_high" is a
  * scan of "body_arm_low", not another one of "body_low", if the suffixes allow both. */
-static void keep_longest(struct bake_work *job, uint32_t scan)
+static void keep_longest(struct bake_job *job, uint32_t scan)
 {
     const uint32_t scans = job->surface.scan_count, objects = job->mesh.objects.count;
     size_t longest = 0;
@@ -380,7 +380,7 @@ static const char *end_list(struct list *list)
 }
 
 /* Reports the objects and scans that have no partner. */
-static int fail_alone(const struct bake_work *job, const bool *sees)
+static int fail_alone(const struct bake_job *job, const bool *sees)
 {
     const uint32_t scans = job->surface.scan_count;
     struct list objects = {{0}, 0, 0}, others = {{0}, 0, 0};
@@ -388,11 +388,11 @@ static int fail_alone(const struct bake_work *job, const bool *sees)
         if (!memchr(sees + (uint64_t)o * scans, 1, scans))
             inputs_add_name(&objects, job->mesh.objects.list[o], strlen(job->mesh.objects.list[o]));
     for (uint32_t s = 0; s < scans; s++) {
-        bool seen = false;
-        for (uint32_t o = 0; o < job->mesh.objects.count && !seen; o++)
-            seen = sees[(uint64_t)o * scans + s];
+        bool shown = false;
+        for (uint32_t o = 0; o < job->mesh.objects.count && !shown; o++)
+            shown = sees[(uint64_t)o * scans + s];
         const struct name name = scan_name(job, s);
-        if (!seen)
+        if (!shown)
             inputs_add_name(&others, name.at, name.length);
     }
     if (objects.used + objects.left + others.used + others.left == 0)
@@ -405,7 +405,7 @@ static int fail_alone(const struct bake_work *job, const bool *sees)
 
 /* Finds out which scans each object sees, by their names. Errors: BSQ_EUSAGE, with the names, if an
  * object sees none, or if none sees a scan. */
-static int match_objects(struct bake_work *job)
+static int match_objects(struct bake_job *job)
 {
     const uint32_t scans = job->surface.scan_count, objects = job->mesh.objects.count;
     BSQ_PASS(BSQ_CALLOC(job->ctx, "matches", (uint64_t)objects * scans, &job->sees));
@@ -425,7 +425,7 @@ static int match_objects(struct bake_work *job)
     return 0;
 }
 
-int bake_open_inputs(struct bake_work *job)
+int bake_open_inputs(struct bake_job *job)
 {
     BSQ_PASS(bake_check_options(job->ctx, job->options));
     BSQ_PASS(note_inputs(job->ctx, job->options));
@@ -443,7 +443,7 @@ int bake_open_inputs(struct bake_work *job)
 
 /* ---- parameters ---- */
 
-int bake_set_params(struct bake_work *job)
+int bake_set_params(struct bake_job *job)
 {
     const struct bake_options *options = job->options;
     double front, back;

@@ -11,7 +11,7 @@
 #include "libbake/options/options.h"
 
 /* Traces all texels. */
-static int job_trace(struct bake_work *job, double started)
+static int job_trace(struct bake_job *job, double started)
 {
     double area, texels;
     BSQ_PASS(bake_arrange_triangles(job));
@@ -42,7 +42,7 @@ static bool in_ranges(const struct bake_options *options, uint32_t tile)
 }
 
 /* Leaves out the tiles that a merge is not asked for. */
-static int skip_tiles(struct bake_work *job, const struct bake_options *asked)
+static int skip_tiles(struct bake_job *job, const struct bake_options *asked)
 {
     uint32_t left = 0;
     for (uint32_t i = 0; i < job->udim.count; i++) {
@@ -54,7 +54,7 @@ static int skip_tiles(struct bake_work *job, const struct bake_options *asked)
 }
 
 /* Removes what was left out from the report. */
-static void report_written(struct bake_work *job)
+static void report_written(struct bake_job *job)
 {
     struct bake_report *report = job->report;
     report->tile_count = 0;
@@ -70,7 +70,7 @@ static void report_written(struct bake_work *job)
 }
 
 /* asked: the options of the caller, whose tiles a merge may write only. */
-static int job_run(struct bake_work *job, const struct bake_options *asked)
+static int job_run(struct bake_job *job, const struct bake_options *asked)
 {
     const double started = bsq_seconds_now();
     const struct bake_options *options = job->options;
@@ -104,7 +104,7 @@ static void end_tile(struct bsq_ctx *ctx, struct bake_tile *tile)
 {
     bake_raster_free(tile->raster);
     bake_image_free(tile->image);
-    BSQ_FREE(ctx, (void *)(uintptr_t)tile->blocks.slots, tile->shares);
+    BSQ_FREE(ctx, (void *)(uintptr_t)tile->blocks.places, tile->shares);
     bake_map_files_discard(tile->files);
     bake_thumbnail_free(ctx, &tile->normal);
     bake_thumbnail_free(ctx, &tile->color);
@@ -114,7 +114,7 @@ static void end_tile(struct bsq_ctx *ctx, struct bake_tile *tile)
     memset(tile, 0, sizeof *tile);
 }
 
-static void job_end(struct bake_work *job)
+static void job_end(struct bake_job *job)
 {
     bake_end_tracing(job);
     for (uint32_t i = 0; job->tiles && i < job->udim.count; ++i)
@@ -131,9 +131,9 @@ static void job_end(struct bake_work *job)
 }
 
 static int job_begin(struct bsq_ctx *ctx, const struct bake_options *options,
-                     struct bake_report *report, struct bake_work **out)
+                     struct bake_report *report, struct bake_job **out)
 {
-    struct bake_work *job = NULL; /* on the heap for its size */
+    struct bake_job *job = NULL; /* on the heap for its size */
     *out = NULL;
     if (bsq_clear_report(ctx, "bake_report", report, sizeof *report) < 0)
         return BSQ_EUSAGE;
@@ -148,7 +148,7 @@ static int job_begin(struct bsq_ctx *ctx, const struct bake_options *options,
 }
 
 /* Ends a job. Returns the status, explained. */
-static int job_finish(struct bake_work *job, int status)
+static int job_finish(struct bake_job *job, int status)
 {
     struct bsq_ctx *ctx = job->ctx;
     if (status < 0)
@@ -162,7 +162,7 @@ static int job_finish(struct bake_work *job, int status)
 
 int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bake_report *report)
 {
-    struct bake_work *job;
+    struct bake_job *job;
     struct bake_options all = *options;
     /* Ranges of maps are those of all tiles, and so are the pictures. */
     if (options->parts && options->tile_range_count > 0) {

@@ -50,7 +50,7 @@ struct bake_tile {
 };
 
 /* A bake. */
-struct bake_work {
+struct bake_job {
     struct bsq_ctx *ctx;
     const struct bake_options *options;
     struct bake_report *report;
@@ -60,7 +60,7 @@ struct bake_work {
     struct bake_udim udim;
     struct bake_tile *tiles;       /* one for each tile of `udim` */
     struct fmt_textures *skew;     /* of these tiles; NULL: there is none */
-    struct bake_job traced;        /* what the device traces, if there is one */
+    struct bake_scene traced;      /* what the device traces, if there is one */
     bool *sees;                    /* that of the surface */
     struct bk_triangle *triangles; /* of the tiles to bake, the first ones of the mesh */
     uint32_t triangle_count;
@@ -80,78 +80,78 @@ struct bake_work {
 /* ---- inputs ---- */
 
 /* Opens the scan and the low-poly mesh, chooses the maps and finds the tiles. */
-int bake_open_inputs(struct bake_work *job);
+int bake_open_inputs(struct bake_job *job);
 /* Sets the parameters of rays, for which it measures distances if they are not given, and checks
  * whether the meshes fit: see bake_fit(). */
-int bake_set_params(struct bake_work *job);
+int bake_set_params(struct bake_job *job);
 
 /* ---- costs ---- */
 
 /* Returns the seconds of one core that baking `texels` of `all` texels with a surface takes. */
-double bake_expect_seconds(const struct bake_work *job, uint64_t texels, uint64_t all);
+double bake_expect_seconds(const struct bake_job *job, uint64_t texels, uint64_t all);
 /* Sets the rays and the seconds that the report expects. The triangles must be prepared. */
-void bake_expect_work(const struct bake_work *job);
+void bake_expect_work(const struct bake_job *job);
 
 /* ---- tracing ---- */
 
 /* Sorts the triangles of the low-poly mesh by tile; then rasterises those of tiles that have blocks
  * to bake, or are baked as a whole. */
-int bake_arrange_triangles(struct bake_work *job);
-int bake_rasterise(struct bake_work *job);
+int bake_arrange_triangles(struct bake_job *job);
+int bake_rasterise(struct bake_job *job);
 /* Opens the device that traces, if there is a single grid. seconds: what one core is expected to
  * take, by which a device is chosen if the user names none. */
-int bake_open_device(struct bake_work *job, double seconds);
+int bake_open_device(struct bake_job *job, double seconds);
 /* Traces all tiles that have rasters. */
-int bake_trace_maps(struct bake_work *job);
+int bake_trace_maps(struct bake_job *job);
 /* Fails with BSQ_EDATA and a reason if no ray of the report hit. */
-int bake_check_hits(struct bake_work *job);
+int bake_check_hits(struct bake_job *job);
 /* Chooses the radius in which curvature is measured. */
-void bake_choose_radius(struct bake_work *job);
+void bake_choose_radius(struct bake_job *job);
 /* Replaces positions and normals in the images by the curvature there, and counts. */
-int bake_trace_curvature(struct bake_work *job);
+int bake_trace_curvature(struct bake_job *job);
 /* Warns of texels whose curvature is unknown, as a radius larger than the scan makes all. Errors:
  * BSQ_EDATA in a strict job. */
 int bake_warn_of_radius(struct bsq_ctx *ctx, const struct bake_curvature_counts *counts,
                         double radius);
 /* Frees what is needed for tracing only; may be called twice. */
-void bake_end_tracing(struct bake_work *job);
+void bake_end_tracing(struct bake_job *job);
 
 /* ---- parts ---- */
 
 /* Divides the texels of all tiles among options->parts, and counts triangles without area. Arranges
  * the triangles. Depends on inputs and options only. */
-int bake_divide(struct bake_work *job);
+int bake_divide(struct bake_job *job);
 /* Makes a tile bake the blocks of the job's part. Errors: BSQ_ENOMEM; BSQ_EUSAGE if these are too
  * many. */
-int bake_take_share(struct bake_work *job, struct bake_tile *tile);
+int bake_take_share(struct bake_job *job, struct bake_tile *tile);
 /* Bakes options->part, after the inputs are opened, and writes its files, unless they are there
- * already: then report->kept is set. */
-int bake_run_part(struct bake_work *job);
+ * already: then report->done is set. */
+int bake_run_part(struct bake_job *job);
 /* Takes the texels, statistics and counts of all tiles from the files of all parts, after the
  * parameters are set. Images of skipped tiles are freed. Errors: BSQ_ENOINPUT, which names missing
  * parts; BSQ_EDATA for damaged and foreign ones. */
-int bake_take_parts(struct bake_work *job);
+int bake_take_parts(struct bake_job *job);
 
 /* ---- outputs ---- */
 
 /* Checks before the work that the preview and all files of tiles that are not skipped can be
  * created, are no inputs and have different names. Errors: BSQ_EUSAGE, BSQ_ECANTCREAT, BSQ_ENOMEM.
  */
-int bake_check_outputs(struct bake_work *job);
+int bake_check_outputs(struct bake_job *job);
 /* Prepares for the files, which are created when they are written. */
-int bake_open_outputs(struct bake_work *job);
+int bake_open_outputs(struct bake_job *job);
 /* Creates the image of a tile, which takes at most `memory_bytes`, or is in a temporary file.
  * Errors: those of bake_image_create(). */
 int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t memory_bytes);
 /* Measures the values of all tiles, since they share the ranges of the maps. */
-int bake_measure_maps(struct bake_work *job);
+int bake_measure_maps(struct bake_job *job);
 /* Encodes and writes all maps under temporary names. */
-int bake_write_maps(struct bake_work *job);
+int bake_write_maps(struct bake_job *job);
 /* Writes the GLB file, if one is asked for. */
-int bake_write_asset(struct bake_work *job);
+int bake_write_asset(struct bake_job *job);
 /* Renders and writes the preview, if one is asked for. */
-int bake_write_preview(struct bake_work *job);
+int bake_write_preview(struct bake_job *job);
 /* Gives all outputs their names. */
-int bake_commit_outputs(struct bake_work *job);
+int bake_commit_outputs(struct bake_job *job);
 
 #endif

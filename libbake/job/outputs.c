@@ -14,12 +14,12 @@
 
 enum { PREVIEW_TEXTURE = 2048 /* largest side of a texture of the preview, in texels */ };
 
-static bool wants_preview(const struct bake_work *job)
+static bool wants_preview(const struct bake_job *job)
 {
     return job->options->preview_path || job->options->page;
 }
 
-static const char *sampling_of(const struct bake_work *job)
+static const char *sampling_of(const struct bake_job *job)
 {
     const struct bake_surface *surface = &job->surface;
     if (!surface->grids)
@@ -36,7 +36,7 @@ static int compare_names(const void *a, const void *b)
 }
 
 /* Joins the names of several scans, sorted, so that their order does not show. */
-static int name_scans(struct bake_work *job)
+static int name_scans(struct bake_job *job)
 {
     const struct bake_options *options = job->options;
     const char **paths = NULL;
@@ -58,7 +58,7 @@ done:
     return status;
 }
 
-static struct bake_traced traced_of(const struct bake_work *job)
+static struct bake_traced traced_of(const struct bake_job *job)
 {
     struct bake_traced traced = {.front = job->report->front,
                                  .back = job->report->back,
@@ -111,7 +111,7 @@ static bool ends_with(const char *path, const char *suffix)
     return length >= end && strcasecmp(path + length - end, suffix) == 0;
 }
 
-int bake_check_outputs(struct bake_work *job)
+int bake_check_outputs(struct bake_job *job)
 {
     const char *preview = job->options->preview_path, *glb = job->options->glb_path;
     const char *page = job->options->page_path;
@@ -132,7 +132,7 @@ int bake_check_outputs(struct bake_work *job)
 }
 
 /* All outputs stay open until they get their names together. */
-static int require_descriptors(const struct bake_work *job)
+static int require_descriptors(const struct bake_job *job)
 {
     uint64_t count = wants_preview(job);
     if (job->options->glb_path)
@@ -142,7 +142,7 @@ static int require_descriptors(const struct bake_work *job)
     return bsq_require_descriptors(job->ctx, job->options->output_path, count);
 }
 
-int bake_open_outputs(struct bake_work *job)
+int bake_open_outputs(struct bake_job *job)
 {
     if (job->options->more_scan_count > 0)
         BSQ_PASS(name_scans(job));
@@ -155,7 +155,7 @@ int bake_open_outputs(struct bake_work *job)
 /* Returns the side of thumbnails for the preview, so that those of one map in all tiles take at
  * most an eighth of what is left in the budget. With thousands of tiles, it may be a single texel.
  * So the picture, unlike the maps, can depend on a small budget. */
-static uint32_t preview_texture_side(const struct bake_work *job)
+static uint32_t preview_texture_side(const struct bake_job *job)
 {
     const uint64_t share = bsq_memory_share(job->ctx, "textures of the preview", 8);
     return bake_thumbnail_side(PREVIEW_TEXTURE, share / job->udim.count);
@@ -191,7 +191,7 @@ int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t
 }
 
 /* Adds a picture of the charts to the page: red where no surface was found, else green. */
-static int show_misses(struct bake_work *job, const struct bake_tile *tile, uint32_t number)
+static int show_misses(struct bake_job *job, const struct bake_tile *tile, uint32_t number)
 {
     struct bake_page_picture picture = {.texels = tile->missed, .high = {1, 1, 1}};
     return bake_page_add_picture(job->options->page,
@@ -199,7 +199,7 @@ static int show_misses(struct bake_work *job, const struct bake_tile *tile, uint
                                  &picture);
 }
 
-static int filter_tile(struct bake_work *job, const struct bake_tile *tile)
+static int filter_tile(struct bake_job *job, const struct bake_tile *tile)
 {
     const double start = bsq_seconds_now();
     double area, texels;
@@ -222,7 +222,7 @@ static int filter_tile(struct bake_work *job, const struct bake_tile *tile)
 
 /* Encodes and writes the maps of a tile, and frees its image. limited: see bake_map_files_write().
  */
-static int write_tile(struct bake_work *job, struct bake_tile *tile, uint32_t side,
+static int write_tile(struct bake_job *job, struct bake_tile *tile, uint32_t side,
                       uint64_t *limited)
 {
     const struct bake_traced traced = traced_of(job);
@@ -246,7 +246,7 @@ done:
     return status;
 }
 
-int bake_measure_maps(struct bake_work *job)
+int bake_measure_maps(struct bake_job *job)
 {
     const double start = bsq_seconds_now();
     int status = 0;
@@ -258,7 +258,7 @@ done:
     return status;
 }
 
-int bake_write_maps(struct bake_work *job)
+int bake_write_maps(struct bake_job *job)
 {
     const uint32_t side = preview_texture_side(job);
     uint64_t *limited = NULL;
@@ -274,7 +274,7 @@ done:
 }
 
 /* Adds the low-poly mesh without maps to the page, which has small ones. */
-static int show_mesh(struct bake_work *job)
+static int show_mesh(struct bake_job *job)
 {
     struct bake_page *page = job->options->page;
     const struct bake_options plain = {.glb_path = page->path};
@@ -299,7 +299,7 @@ done:
     return status;
 }
 
-int bake_write_asset(struct bake_work *job)
+int bake_write_asset(struct bake_job *job)
 {
     if (job->options->page)
         BSQ_PASS(show_mesh(job));
@@ -308,7 +308,7 @@ int bake_write_asset(struct bake_work *job)
     return 0;
 }
 
-int bake_write_preview(struct bake_work *job)
+int bake_write_preview(struct bake_job *job)
 {
     if (!wants_preview(job))
         return 0;
@@ -326,7 +326,7 @@ int bake_write_preview(struct bake_work *job)
     return bake_preview_write(job->ctx, path, &preview, &job->preview_from, &job->preview);
 }
 
-int bake_commit_outputs(struct bake_work *job)
+int bake_commit_outputs(struct bake_job *job)
 {
     struct bsq_output_group group = {0};
     int status = 0;

@@ -12,7 +12,7 @@
 
 /* ---- names ---- */
 
-char *bake_part_path(const struct bake_work *job, const struct bake_tile *tile, uint32_t part)
+char *bake_part_path(const struct bake_job *job, const struct bake_tile *tile, uint32_t part)
 {
     const char *name = bsq_file_name(tile->output_path), *end = strrchr(name, '.');
     const int folder = (int)(bsq_file_name(tile->beside) - tile->beside);
@@ -48,7 +48,7 @@ static bool name_values(const char *map, uint32_t count, bool color, char **out)
     return true;
 }
 
-int bake_name_channels(const struct bake_work *job, struct bake_channels *out)
+int bake_name_channels(const struct bake_job *job, struct bake_channels *out)
 {
     const uint32_t count = bake_image_channels_for(job->maps);
     char **names = calloc(count, sizeof *names);
@@ -76,7 +76,7 @@ static const char *const text_names[BAKE_PART_TEXTS] = {
     [BAKE_PART_OPTIONS] = "bisque:options", [BAKE_PART_COUNTS] = "bisque:counts"};
 
 /* Sets the texts that tell a file of a part from those of other parts and bakes. */
-static void expect_texts(const struct bake_work *job, uint32_t tile, uint32_t part,
+static void expect_texts(const struct bake_job *job, uint32_t tile, uint32_t part,
                          struct bake_part_texts *out)
 {
     *out = job->identity;
@@ -149,7 +149,7 @@ static int part_add_checksum(struct bsq_ctx *ctx, struct bsq_output *output)
 /* ---- writing ---- */
 
 struct writing {
-    const struct bake_work *job;
+    const struct bake_job *job;
     const struct bake_tile *tile;
     struct bake_box box;
     const struct bake_channels *channels;
@@ -157,13 +157,13 @@ struct writing {
 };
 
 /* Copies a row of a block. What lies outside of charts becomes zeros. */
-static int copy_block_row(const struct writing *writing, uint32_t slot, uint32_t y, uint32_t width,
+static int copy_block_row(const struct writing *writing, uint32_t place, uint32_t y, uint32_t width,
                           float *to)
 {
     const uint32_t side = writing->tile->blocks.side, channels = writing->channels->count;
     const float *texels;
     int status =
-        bake_image_rows(writing->tile->image, slot * side + y, 1, writing->block_row, &texels);
+        bake_image_rows(writing->tile->image, place * side + y, 1, writing->block_row, &texels);
     for (uint32_t x = 0; x < width && status == 0; x++, texels += channels, to += channels) {
         memset(to, 0, channels * sizeof *to);
         memcpy(to, texels, (texels[0] != BAKE_OUTSIDE ? channels : 1) * sizeof *to);
@@ -181,10 +181,10 @@ static int write_rows(const struct writing *writing, struct fmt_image_writer *wr
         BSQ_PASS(bsq_check(writing->job->ctx));
         memset(writing->row, 0, (size_t)(box->x_end - box->x) * channels * sizeof *writing->row);
         for (uint32_t x = box->x; x < box->x_end; x += side) {
-            const uint32_t slot = blocks->slots[y / side * blocks->columns + x / side];
+            const uint32_t place = blocks->places[y / side * blocks->columns + x / side];
             const uint32_t width = box->x_end - x < side ? box->x_end - x : side;
-            if (slot != BAKE_NO_SLOT)
-                BSQ_PASS(copy_block_row(writing, slot, y % side, width,
+            if (place != BAKE_NO_PLACE)
+                BSQ_PASS(copy_block_row(writing, place, y % side, width,
                                         writing->row + (size_t)(x - box->x) * channels));
         }
         BSQ_PASS(fmt_image_write_rows(writer, writing->row, 1));
@@ -211,14 +211,14 @@ static int write_image(const struct writing *writing, const char *path,
                                               .full_width = tile->options.width,
                                               .full_height = tile->options.height,
                                               .type = FMT_FLOAT,
-                                              .tile_side = tile->blocks.side,
+                                              .exr_tile_side = tile->blocks.side,
                                               .attributes = attributes,
                                               .attribute_count = BAKE_PART_TEXTS};
     BSQ_PASS(fmt_image_create(writing->job->ctx, &fmt_exr_format, path, &options, out));
     return write_rows(writing, *out);
 }
 
-int bake_part_write(const struct bake_work *job, const struct bake_channels *channels,
+int bake_part_write(const struct bake_job *job, const struct bake_channels *channels,
                     uint32_t number, const struct bake_box *box,
                     const struct bake_part_counts *counts, struct bsq_output **out)
 {
@@ -293,7 +293,7 @@ void bake_part_close(struct bake_part *part)
     part->path = NULL;
 }
 
-int bake_part_open(const struct bake_work *job, const struct bake_channels *channels, uint32_t tile,
+int bake_part_open(const struct bake_job *job, const struct bake_channels *channels, uint32_t tile,
                    uint32_t number, const struct bake_box *box, struct bake_part *part)
 {
     *part = (struct bake_part){.job = job,

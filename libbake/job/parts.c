@@ -58,7 +58,7 @@ static void parts_add_options(XXH3_state_t *state, const struct bsq_option *rows
 }
 
 /* Sets the checksum of all options that texels depend on. */
-static int identify_options(struct bake_work *job)
+static int identify_options(struct bake_job *job)
 {
     size_t count;
     const struct bsq_option *rows = bake_option_rows(&count);
@@ -83,7 +83,7 @@ static int add_input(struct bsq_ctx *ctx, const struct bsq_noted_input *input, X
 }
 
 /* Checks that other parts can read a file again, as they cannot read a pipe. NULL is allowed. */
-static int parts_check_input(const struct bake_work *job, const char *path)
+static int parts_check_input(const struct bake_job *job, const char *path)
 {
     struct stat info;
     return !path || (stat(path, &info) == 0 && S_ISREG(info.st_mode))
@@ -93,7 +93,7 @@ static int parts_check_input(const struct bake_work *job, const char *path)
 }
 
 /* Sets the checksum of all inputs, which the job notes in the same order each time. */
-static int identify_inputs(struct bake_work *job)
+static int identify_inputs(struct bake_job *job)
 {
     const struct bake_options *options = job->options;
     struct bsq_noted_input input;
@@ -122,7 +122,7 @@ done:
 }
 
 /* Finds out what files of parts must say, and which blocks each part has. */
-static int prepare(struct bake_work *job)
+static int prepare(struct bake_job *job)
 {
     snprintf(job->identity.of[BAKE_PART_VERSION], BAKE_PART_TEXT, "%s", BSQ_VERSION);
     BSQ_PASS(identify_options(job));
@@ -163,7 +163,7 @@ static struct bake_box own_box(const struct bake_tile *tile)
 {
     struct bake_box box = {0};
     for (uint64_t b = 0; b < block_count(tile); b++)
-        if (tile->blocks.slots[b] != BAKE_NO_SLOT)
+        if (tile->blocks.places[b] != BAKE_NO_PLACE)
             add_block(tile, b, &box);
     return box;
 }
@@ -171,7 +171,7 @@ static struct bake_box own_box(const struct bake_tile *tile)
 /* ---- one part ---- */
 
 /* Sets *out if all files of the job's part are there and whole. */
-static int is_done(const struct bake_work *job, const struct bake_channels *channels, bool *out)
+static int is_done(const struct bake_job *job, const struct bake_channels *channels, bool *out)
 {
     int status = 0;
     *out = false;
@@ -193,7 +193,7 @@ static int is_done(const struct bake_work *job, const struct bake_channels *chan
 }
 
 /* Checks before the work that all files of the job's part can be written. */
-static int check_files(const struct bake_work *job)
+static int check_files(const struct bake_job *job)
 {
     uint64_t count = 0;
     int status = 0;
@@ -210,7 +210,7 @@ static int check_files(const struct bake_work *job)
                       : bsq_require_descriptors(job->ctx, job->options->output_path, count);
 }
 
-static int parts_trace_own(struct bake_work *job)
+static int parts_trace_own(struct bake_job *job)
 {
     BSQ_PASS(bake_rasterise(job));
     BSQ_PASS(bake_open_device(job, bake_expect_seconds(job, job->part_texels, job->texels)));
@@ -222,7 +222,7 @@ static int parts_trace_own(struct bake_work *job)
 }
 
 /* Writes all files of the part, which appear together. */
-static int write_files(const struct bake_work *job, const struct bake_channels *channels)
+static int write_files(const struct bake_job *job, const struct bake_channels *channels)
 {
     const struct bake_report *report = job->report;
     const struct bake_part_counts counts = {report->covered_texels, report->samples, report->hits,
@@ -243,7 +243,7 @@ done:
     return status;
 }
 
-int bake_run_part(struct bake_work *job)
+int bake_run_part(struct bake_job *job)
 {
     struct bake_channels channels;
     int status;
@@ -252,8 +252,8 @@ int bake_run_part(struct bake_work *job)
     BSQ_TRY(prepare(job));
     for (uint32_t t = 0; t < job->udim.count; t++)
         BSQ_TRY(bake_take_share(job, &job->tiles[t]));
-    BSQ_TRY(is_done(job, &channels, &job->report->kept));
-    if (job->report->kept)
+    BSQ_TRY(is_done(job, &channels, &job->report->done));
+    if (job->report->done)
         goto done;
     BSQ_TRY(check_files(job));
     BSQ_TRY(parts_trace_own(job));
@@ -267,12 +267,12 @@ done:
 
 /* The parts that have blocks in a tile. */
 struct tile_parts {
-    struct bake_work *job;
+    struct bake_job *job;
     struct bake_channels channels;
     uint32_t tile;
     struct bake_box *boxes;           /* of all parts */
     uint32_t *list, count;            /* those with a box, from 0 on */
-    bool *seen;                       /* the counts of a part are added already */
+    bool *counted;                    /* the counts of a part are added already */
     uint32_t *missing, missing_count; /* from 1 on */
 };
 
@@ -290,7 +290,7 @@ static int list_parts(struct tile_parts *of)
     return bsq_check(of->job->ctx);
 }
 
-static void add_counts(struct bake_work *job, const struct bake_part_counts *counts)
+static void add_counts(struct bake_job *job, const struct bake_part_counts *counts)
 {
     job->report->covered_texels += counts->covered_texels;
     job->report->samples += counts->samples;
@@ -310,7 +310,7 @@ static int check_tile(struct tile_parts *of)
         struct bake_part part;
         status =
             bake_part_open(of->job, &of->channels, of->tile, share + 1, &of->boxes[share], &part);
-        if (status == 0 && !of->seen[share])
+        if (status == 0 && !of->counted[share])
             add_counts(of->job, &part.counts);
         if (status == BSQ_ENOINPUT) {
             bsq_clear_error(of->job->ctx);
@@ -318,7 +318,7 @@ static int check_tile(struct tile_parts *of)
                 of->missing[of->missing_count++] = share + 1;
             status = 0;
         }
-        of->seen[share] = true;
+        of->counted[share] = true;
         bake_part_close(&part);
         if (status == 0)
             status = bsq_check(of->job->ctx);
@@ -329,7 +329,7 @@ static int check_tile(struct tile_parts *of)
 /* Fails with the numbers of a tile's missing parts, as many as fit a line. */
 static int parts_fail_missing(const struct tile_parts *of)
 {
-    const struct bake_work *job = of->job;
+    const struct bake_job *job = of->job;
     char list[LIST_BYTES] = "";
     size_t length = 0;
     uint32_t named = 0;
@@ -364,7 +364,7 @@ static int parts_read_one(void *arg, uint64_t i, unsigned worker)
  * without parts. */
 static int read_tile(struct tile_parts *of, uint64_t memory_bytes)
 {
-    struct bake_work *job = of->job;
+    struct bake_job *job = of->job;
     struct bake_tile *tile = &job->tiles[of->tile];
     int status;
     BSQ_TRY(list_parts(of));
@@ -384,8 +384,8 @@ done:
 
 static int read_tiles(struct tile_parts *of)
 {
-    struct bake_work *job = of->job;
-    const uint64_t kept = bsq_memory_left(job->ctx) / 2;
+    struct bake_job *job = of->job;
+    const uint64_t reserve = bsq_memory_left(job->ctx) / 2;
     for (of->tile = 0; of->tile < job->udim.count; of->tile++) {
         of->missing_count = 0;
         BSQ_PASS(check_tile(of));
@@ -394,13 +394,14 @@ static int read_tiles(struct tile_parts *of)
     }
     BSQ_PASS(bake_check_hits(job));
     for (of->tile = 0; of->tile < job->udim.count; of->tile++) {
-        const uint64_t left = bsq_memory_left(job->ctx), share = left > kept ? left - kept : 0;
+        const uint64_t left = bsq_memory_left(job->ctx),
+                       share = left > reserve ? left - reserve : 0;
         BSQ_PASS(read_tile(of, share / (job->udim.count - of->tile)));
     }
     return 0;
 }
 
-int bake_take_parts(struct bake_work *job)
+int bake_take_parts(struct bake_job *job)
 {
     const uint32_t parts = job->options->parts;
     struct tile_parts of = {.job = job};
@@ -410,7 +411,7 @@ int bake_take_parts(struct bake_work *job)
     BSQ_TRY(BSQ_ALLOC(job->ctx, "parts", parts, &of.boxes));
     BSQ_TRY(BSQ_ALLOC(job->ctx, "parts", parts, &of.list));
     BSQ_TRY(BSQ_ALLOC(job->ctx, "parts", parts, &of.missing));
-    BSQ_TRY(BSQ_CALLOC(job->ctx, "parts", parts, &of.seen));
+    BSQ_TRY(BSQ_CALLOC(job->ctx, "parts", parts, &of.counted));
     BSQ_TRY(read_tiles(&of));
     snprintf(job->report->device, sizeof job->report->device, "%u part%s", parts,
              parts == 1 ? "" : "s");
@@ -420,7 +421,7 @@ int bake_take_parts(struct bake_work *job)
     }
     bake_end_tracing(job);
 done:
-    BSQ_FREE(job->ctx, of.seen, of.missing, of.list, of.boxes);
+    BSQ_FREE(job->ctx, of.counted, of.missing, of.list, of.boxes);
     bake_free_channels(&of.channels);
     return status;
 }

@@ -21,11 +21,11 @@ struct bake_share_block {
 
 /* Cuts all tiles into blocks, squares of at most BAKE_MOST_BLOCK_SIDE texels a side: smaller ones
  * if many parts share few texels. Errors: BSQ_ENOMEM. */
-int bake_cut_blocks(struct bake_work *job);
+int bake_cut_blocks(struct bake_job *job);
 
 /* Gives each block to a part, so that all have about as many samples. `blocks` lists those with
  * samples and is sorted. */
-void bake_share_out(struct bake_work *job, struct bake_share_block *blocks, uint64_t count);
+void bake_share_out(struct bake_job *job, struct bake_share_block *blocks, uint64_t count);
 
 /* A part of a map in texels; the ends are not in it. */
 struct bake_box {
@@ -46,7 +46,7 @@ struct bake_channels {
 
 /* A file of a part, open for reading. */
 struct bake_part {
-    const struct bake_work *job;
+    const struct bake_job *job;
     const struct bake_channels *channels;
     uint32_t tile, number; /* index; of the part, from 1 on */
     struct bake_box box;
@@ -58,11 +58,11 @@ struct bake_part {
 };
 
 /* Returns the path of a part's file; NULL if there is no memory. The caller frees it. */
-char *bake_part_path(const struct bake_work *job, const struct bake_tile *tile, uint32_t part);
+char *bake_part_path(const struct bake_job *job, const struct bake_tile *tile, uint32_t part);
 
 /* Names the channels of the files. Free them with bake_free_channels(), also after a failure.
  * Errors: BSQ_ENOMEM. */
-int bake_name_channels(const struct bake_work *job, struct bake_channels *out);
+int bake_name_channels(const struct bake_job *job, struct bake_channels *out);
 void bake_free_channels(struct bake_channels *channels);
 
 enum { BAKE_PART_DIGITS = 32 /* of a checksum */ };
@@ -71,13 +71,13 @@ void bake_part_digest(const XXH128_hash_t *hash, char out[BAKE_PART_DIGITS + 1])
 
 /* Writes a file of the job's part: tile number `number`, whose image holds the part's blocks. *out:
  * complete, without its name. Errors: BSQ_EIO, BSQ_ECANTCREAT, BSQ_ENOMEM, BSQ_EINTR. */
-int bake_part_write(const struct bake_work *job, const struct bake_channels *channels,
+int bake_part_write(const struct bake_job *job, const struct bake_channels *channels,
                     uint32_t number, const struct bake_box *box,
                     const struct bake_part_counts *counts, struct bsq_output **out);
 
 /* Opens a file and checks its header. Close it also after a failure. Errors: BSQ_ENOINPUT
  * if it is missing; BSQ_EDATA, which names it, if it is damaged or no such part of this bake. */
-int bake_part_open(const struct bake_work *job, const struct bake_channels *channels, uint32_t tile,
+int bake_part_open(const struct bake_job *job, const struct bake_channels *channels, uint32_t tile,
                    uint32_t number, const struct bake_box *box, struct bake_part *part);
 /* Checks all bytes, and copies the part's blocks to the image of the tile; NULL: only checks.
  * Errors: BSQ_EDATA, those of bake_image_write(). */

@@ -17,7 +17,7 @@ enum { LARGEST_SIDE = BAKE_MOST_BLOCK_SIDE, SMALLEST_SIDE = 16, BLOCKS_A_SHARE =
 
 /* ---- sides of blocks ---- */
 
-static uint64_t blocks_with(const struct bake_work *job, uint32_t side)
+static uint64_t blocks_with(const struct bake_job *job, uint32_t side)
 {
     uint64_t blocks = 0;
     for (uint32_t i = 0; i < job->udim.count; i++)
@@ -27,7 +27,7 @@ static uint64_t blocks_with(const struct bake_work *job, uint32_t side)
 }
 
 /* Returns a side for blocks: smaller if many parts share few texels. */
-static uint32_t shares_choose_side(const struct bake_work *job)
+static uint32_t shares_choose_side(const struct bake_job *job)
 {
     uint32_t side = LARGEST_SIDE;
     while (side > SMALLEST_SIDE &&
@@ -36,7 +36,7 @@ static uint32_t shares_choose_side(const struct bake_work *job)
     return side;
 }
 
-static int cut_tile(struct bake_work *job, uint32_t side, struct bake_tile *tile)
+static int cut_tile(struct bake_job *job, uint32_t side, struct bake_tile *tile)
 {
     struct bake_blocks *blocks = &tile->blocks;
     uint64_t count;
@@ -50,7 +50,7 @@ static int cut_tile(struct bake_work *job, uint32_t side, struct bake_tile *tile
     return status;
 }
 
-int bake_cut_blocks(struct bake_work *job)
+int bake_cut_blocks(struct bake_job *job)
 {
     const uint32_t side = shares_choose_side(job);
     for (uint32_t t = 0; t < job->udim.count; t++)
@@ -61,7 +61,7 @@ int bake_cut_blocks(struct bake_work *job)
 /* ---- the work in each block ---- */
 
 struct counting {
-    const struct bake_work *job;
+    const struct bake_job *job;
     const struct bake_raster *raster;
     const struct bake_blocks *of;
     struct bake_share_block *blocks; /* out, one for each patch of the raster */
@@ -83,7 +83,7 @@ static int count_block(void *arg, uint64_t index, unsigned worker)
     const struct counting *counting = arg;
     const struct bk_patch patch = bake_raster_patch(counting->raster, (uint32_t)index);
     const uint32_t side = counting->of->side;
-    uint32_t *samples = counting->samples[worker], covered = 0, seen = 0;
+    uint32_t *samples = counting->samples[worker], covered = 0, covering = 0;
     uint64_t overlaps;
     int status = bake_raster_fill(counting->raster, (uint32_t)index, samples, &overlaps);
     for (uint32_t i = 0; i < patch.width * patch.height && status == 0; i++)
@@ -95,7 +95,7 @@ static int count_block(void *arg, uint64_t index, unsigned worker)
                                   .samples = covered};
     for (uint32_t i = 0; i < patch.width * patch.height && status == 0; i++) {
         const uint32_t x = patch.x + i % patch.width, y = patch.y + i / patch.width;
-        if (samples[i] != BK_NO_TRIANGLE && seen++ == covered / 2)
+        if (samples[i] != BK_NO_TRIANGLE && covering++ == covered / 2)
             block->index = curve_index(counting, samples[i], (float)x + 0.5f, (float)y + 0.5f);
     }
     return status;
@@ -108,7 +108,7 @@ struct block_list {
 
 /* Adds the blocks of a tile that have samples to a list, by a raster with one sample a texel, whose
  * patches are blocks. */
-static int count_tile(struct bake_work *job, uint32_t tile, uint32_t **samples,
+static int count_tile(struct bake_job *job, uint32_t tile, uint32_t **samples,
                       struct block_list *list)
 {
     const struct bake_tile *of = &job->tiles[tile];
@@ -153,7 +153,7 @@ static int compare_blocks(const void *a, const void *b)
 }
 
 /* Returns the work in a block: its samples, and what each block costs. */
-static uint64_t weight_of(const struct bake_work *job, const struct bake_share_block *block)
+static uint64_t weight_of(const struct bake_job *job, const struct bake_share_block *block)
 {
     const uint32_t side = job->tiles[block->tile].blocks.side;
     return block->samples + side * side / 16u;
@@ -171,7 +171,7 @@ static void fill_rest(struct bake_tile *tile)
     }
 }
 
-void bake_share_out(struct bake_work *job, struct bake_share_block *blocks, uint64_t count)
+void bake_share_out(struct bake_job *job, struct bake_share_block *blocks, uint64_t count)
 {
     uint64_t all = 0, before = 0;
     bsq_sort(blocks, count, sizeof *blocks, compare_blocks);
@@ -191,7 +191,7 @@ void bake_share_out(struct bake_work *job, struct bake_share_block *blocks, uint
         fill_rest(&job->tiles[t]);
 }
 
-int bake_divide(struct bake_work *job)
+int bake_divide(struct bake_job *job)
 {
     const unsigned workers = bsq_threads(job->ctx);
     struct block_list list = {0};
@@ -213,16 +213,16 @@ done:
     return status;
 }
 
-int bake_take_share(struct bake_work *job, struct bake_tile *tile)
+int bake_take_share(struct bake_job *job, struct bake_tile *tile)
 {
     struct bake_blocks *blocks = &tile->blocks;
     const uint64_t count = (uint64_t)blocks->columns * blocks->rows;
-    uint32_t *slots;
-    BSQ_PASS(BSQ_ALLOC(job->ctx, "blocks of a tile", count, &slots));
+    uint32_t *places;
+    BSQ_PASS(BSQ_ALLOC(job->ctx, "blocks of a tile", count, &places));
     tile->in_blocks = true;
-    blocks->slots = slots;
+    blocks->places = places;
     for (uint64_t b = 0; b < count; b++)
-        slots[b] = tile->shares[b] + 1 == job->options->part ? blocks->count++ : BAKE_NO_SLOT;
+        places[b] = tile->shares[b] + 1 == job->options->part ? blocks->count++ : BAKE_NO_PLACE;
     if (blocks->count > UINT32_MAX / blocks->side)
         return bsq_fail(job->ctx, BSQ_EUSAGE, "part %u of %u has too many texels: make more parts",
                         job->options->part, job->options->parts);

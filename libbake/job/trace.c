@@ -12,7 +12,7 @@
 enum { TRIANGLES_PATCH = 16 };
 
 /* Sorts the tile's triangles for sampling and writes them to job->triangles. */
-static int rasterise(const struct bake_work *job, struct bake_tile *tile)
+static int rasterise(const struct bake_job *job, struct bake_tile *tile)
 {
     const struct bake_options *options = &tile->options;
     tile->patch_side =
@@ -38,7 +38,7 @@ static int rasterise(const struct bake_work *job, struct bake_tile *tile)
     return 0;
 }
 
-int bake_arrange_triangles(struct bake_work *job)
+int bake_arrange_triangles(struct bake_job *job)
 {
     BSQ_PASS(bake_udim_arrange(job->ctx, job->options, &job->udim, &job->mesh));
     const struct bake_udim_tile *last = &job->udim.tiles[job->udim.count - 1];
@@ -47,7 +47,7 @@ int bake_arrange_triangles(struct bake_work *job)
                       &job->triangles);
 }
 
-int bake_rasterise(struct bake_work *job)
+int bake_rasterise(struct bake_job *job)
 {
     int status = 0;
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
@@ -57,7 +57,7 @@ int bake_rasterise(struct bake_work *job)
 }
 
 /* Returns the most texels of a patch. */
-static uint32_t most_texels(const struct bake_work *job)
+static uint32_t most_texels(const struct bake_job *job)
 {
     uint32_t most = 0;
     for (uint32_t i = 0; i < job->udim.count; ++i)
@@ -71,7 +71,7 @@ static const double gpu_seconds = 0.5;
 
 /* Returns the name of the device that the user wants. Without one: "cpu" if all cores are expected
  * to finish sooner than a GPU opens, else "auto". seconds: what one core is expected to take. */
-static const char *device_name(const struct bake_work *job, double seconds)
+static const char *device_name(const struct bake_job *job, double seconds)
 {
     const char *name = job->options->device;
     if (name && *name)
@@ -79,7 +79,7 @@ static const char *device_name(const struct bake_work *job, double seconds)
     return seconds / bsq_threads(job->ctx) < gpu_seconds ? "cpu" : "auto";
 }
 
-int bake_open_device(struct bake_work *job, double seconds)
+int bake_open_device(struct bake_job *job, double seconds)
 {
     if (job->surface.scan_count > 1 || job->surface.scans->exact) {
         unsigned threads = bsq_threads(job->ctx);
@@ -87,12 +87,12 @@ int bake_open_device(struct bake_work *job, double seconds)
                  threads == 1 ? "" : "s", job->surface.grids ? "" : ", exact");
         return 0;
     }
-    job->traced = (struct bake_job){.grid = &job->surface.scans->grid,
-                                    .triangles = job->triangles,
-                                    .triangle_count = job->triangle_count,
-                                    .patch_texels = most_texels(job),
-                                    .device_memory = job->options->gpu_memory_bytes,
-                                    .params = job->surface.params};
+    job->traced = (struct bake_scene){.grid = &job->surface.scans->grid,
+                                      .triangles = job->triangles,
+                                      .triangle_count = job->triangle_count,
+                                      .patch_texels = most_texels(job),
+                                      .device_memory = job->options->gpu_memory_bytes,
+                                      .params = job->surface.params};
     return bake_device_open(job->ctx, device_name(job, seconds), &job->traced, &job->device);
 }
 
@@ -110,7 +110,7 @@ static bool in_same_place(const struct bake_surface *scan, const struct bake_low
     return low_side < 4 * scan_side && scan_side < 4 * low_side && gap < 0.1 * scan_side;
 }
 
-static int fail_without_hit(const struct bake_work *job)
+static int fail_without_hit(const struct bake_job *job)
 {
     const struct bake_surface *scan = &job->surface;
     const struct bake_lowmesh *low = &job->mesh;
@@ -134,7 +134,7 @@ static int fail_without_hit(const struct bake_work *job)
                                         "if the scan's faces are wound inwards");
 }
 
-static void note_device(struct bake_work *job)
+static void note_device(struct bake_job *job)
 {
     struct bake_device_times times;
     snprintf(job->report->device, sizeof job->report->device, "%s", bake_device_name(job->device));
@@ -147,7 +147,7 @@ static void note_device(struct bake_work *job)
 
 /* Traces all samples of a tile into its image. Frees the raster, unless curvature needs objects of
  * texels. */
-static int trace_tile(const struct bake_work *job, struct bake_tile *tile, uint64_t memory_bytes)
+static int trace_tile(const struct bake_job *job, struct bake_tile *tile, uint64_t memory_bytes)
 {
     const bool several = job->surface.scan_count > 1;
     const uint32_t *objects = job->sees && several ? job->mesh.object_of : NULL;
@@ -171,14 +171,15 @@ static int trace_tile(const struct bake_work *job, struct bake_tile *tile, uint6
 
 /* Traces all tiles. Their images share half of the memory that is left in the budget, as writing
  * needs the rest. */
-int bake_trace_maps(struct bake_work *job)
+int bake_trace_maps(struct bake_job *job)
 {
-    const uint64_t kept = bsq_memory_left(job->ctx) / 2;
+    const uint64_t reserve = bsq_memory_left(job->ctx) / 2;
     int status = 0;
     for (uint32_t i = 0; i < job->udim.count; i++)
         job->report->traced_tiles += job->tiles[i].raster != NULL;
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
-        const uint64_t left = bsq_memory_left(job->ctx), share = left > kept ? left - kept : 0;
+        const uint64_t left = bsq_memory_left(job->ctx),
+                       share = left > reserve ? left - reserve : 0;
         if (job->tiles[i].raster)
             status = trace_tile(job, &job->tiles[i], share / (job->udim.count - i));
     }
@@ -187,7 +188,7 @@ int bake_trace_maps(struct bake_work *job)
     return status;
 }
 
-int bake_check_hits(struct bake_work *job)
+int bake_check_hits(struct bake_job *job)
 {
     return job->report->hits == 0 ? fail_without_hit(job) : 0;
 }
@@ -198,14 +199,14 @@ int bake_check_hits(struct bake_work *job)
 
 /* A tile whose texels curvature asks for their objects. */
 struct seen_tile {
-    const struct bake_work *job;
+    const struct bake_job *job;
     const struct bake_tile *tile;
 };
 
 /* A part of a tile's image whose objects are wanted. The raster is filled again for it: objects of
  * all texels would need memory that grows with the map. */
 struct window {
-    const struct bake_work *job;
+    const struct bake_job *job;
     const struct bake_tile *tile;
     uint32_t x, y, width, height; /* texels of the image */
     uint32_t *objects;            /* of its texels, NO_OBJECT until one is known */
@@ -255,7 +256,7 @@ static int objects_of(const void *arg, uint32_t x, uint32_t y, uint32_t width, u
     return status;
 }
 
-void bake_choose_radius(struct bake_work *job)
+void bake_choose_radius(struct bake_job *job)
 {
     const double given = job->options->curvature_radius;
     job->measures.curvature_radius =
@@ -264,7 +265,7 @@ void bake_choose_radius(struct bake_work *job)
 }
 
 /* The processor traces from here on, so the curvature is the same for all devices. */
-int bake_trace_curvature(struct bake_work *job)
+int bake_trace_curvature(struct bake_job *job)
 {
     int status = 0;
     bake_choose_radius(job);
@@ -299,7 +300,7 @@ int bake_warn_of_radius(struct bsq_ctx *ctx, const struct bake_curvature_counts 
 }
 
 /* Frees what is needed for tracing only. */
-void bake_end_tracing(struct bake_work *job)
+void bake_end_tracing(struct bake_job *job)
 {
     bake_device_close(job->device);
     job->device = NULL;

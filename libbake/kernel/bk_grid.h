@@ -17,7 +17,7 @@
 #define BK_NONE 0xffffffffu
 
 /* Node layouts in words of eight bytes. */
-#define BK_TILE_WORDS       4u     /* root tile: key, child offset, state, value */
+#define BK_ROOT_TILE_WORDS  4u     /* root tile: key, child offset, state, value */
 #define BK_UPPER_WORDS      33800u /* 32^3 children of 128^3 voxels */
 #define BK_UPPER_CHILD_MASK 516u
 #define BK_UPPER_TABLE      1032u
@@ -35,13 +35,13 @@
 #define BK_UPPER_LOG2 12u
 
 typedef struct bk_grid {
-    const BK_GLOBAL bk_ulong *tiles, *uppers, *lowers, *leaves;
+    const BK_GLOBAL bk_ulong *root_tiles, *uppers, *lowers, *leaves;
     const BK_GLOBAL bk_uint *normals, *planes, *colors, *seconds;
     const BK_GLOBAL float *srgb; /* linear values of the 256 sRGB codes */
     /* The tree around the leaves: nodes, and the occupied voxels of each leaf's blocks. */
     const BK_GLOBAL bk_ulong2 *nodes;
     const BK_GLOBAL bk_ulong *blocks;
-    bk_uint tile_count, upper_count, lower_count, leaf_count, second_count;
+    bk_uint root_tile_count, upper_count, lower_count, leaf_count, second_count;
     /* Byte distances: root to uppers, uppers to lowers, lowers to leaves. */
     bk_ulong upper_offset, lower_offset, leaf_offset;
     bk_ulong second_base;
@@ -68,7 +68,7 @@ BK_FN bk_ulong bk_join(const bk_uint words[2])
 /* Sets counts and offsets; the caller sets the pointers. */
 BK_FN void bk_grid_from_params(bk_grid *grid, const bk_params *params)
 {
-    grid->tile_count = params->tile_count;
+    grid->root_tile_count = params->root_tile_count;
     grid->upper_count = params->upper_count;
     grid->lower_count = params->lower_count;
     grid->leaf_count = params->leaf_count;
@@ -98,20 +98,20 @@ BK_FN bk_uint bk_find_upper(const bk_grid *grid, bk_int x, bk_int y, bk_int z)
     bk_ulong key = (bk_ulong)((bk_uint)x >> BK_UPPER_LOG2) << 42 |
                    (bk_ulong)((bk_uint)y >> BK_UPPER_LOG2) << 21 |
                    (bk_ulong)((bk_uint)z >> BK_UPPER_LOG2);
-    bk_uint low = 0, high = grid->tile_count;
+    bk_uint low = 0, high = grid->root_tile_count;
     bk_ulong child;
     bk_uint upper;
 
     while (low < high) {
         bk_uint middle = low + (high - low) / 2;
-        if (grid->tiles[(bk_ulong)middle * BK_TILE_WORDS] < key)
+        if (grid->root_tiles[(bk_ulong)middle * BK_ROOT_TILE_WORDS] < key)
             low = middle + 1;
         else
             high = middle;
     }
-    if (low == grid->tile_count || grid->tiles[(bk_ulong)low * BK_TILE_WORDS] != key)
+    if (low == grid->root_tile_count || grid->root_tiles[(bk_ulong)low * BK_ROOT_TILE_WORDS] != key)
         return BK_NONE;
-    child = grid->tiles[(bk_ulong)low * BK_TILE_WORDS + 1];
+    child = grid->root_tiles[(bk_ulong)low * BK_ROOT_TILE_WORDS + 1];
     if (child == 0)
         return BK_NONE;
     upper = (bk_uint)((child - grid->upper_offset) / (BK_UPPER_WORDS * 8u));

@@ -12,7 +12,7 @@
 #include "bk_types.h"
 
 /* Different ids that a texel counts. */
-#define BK_ID_SLOTS 4
+#define BK_ID_PAIRS 4
 
 /* X(name, sums): each map, and how many floats bk_add_NAME() sums. The first map is bit 0 of
  * bk_params.maps and of enum bake_map. */
@@ -26,7 +26,7 @@
     X(ao, 1)                                                                                       \
     X(bent, 3)                                                                                     \
     X(thickness, 2)                                                                                \
-    X(id, 2 * BK_ID_SLOTS)                                                                         \
+    X(id, 2 * BK_ID_PAIRS)                                                                         \
     X(confidence, 1)                                                                               \
     X(guide, 9)
 
@@ -132,28 +132,28 @@ BK_FN void bk_add_thickness(const bk_map_hit *hit, BK_GLOBAL float *sums)
     sums[1] += hit->solids;
 }
 
-/* Counts the samples of each id: a slot is a count and an id. If a sample finds all slots taken by
+/* Counts the samples of each id: a pair is a count and an id. If a sample finds all pairs taken by
  * other ids, all counts and the sample are dropped once (Misra & Gries, "Finding repeated
- * elements", 1982). So counts are exact for up to BK_ID_SLOTS ids in a texel. */
+ * elements", 1982). So counts are exact for up to BK_ID_PAIRS ids in a texel. */
 BK_FN void bk_add_id(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     const float id = (float)(bk_int)(hit->id & 0xffffffu);
-    bk_uint i, empty = BK_ID_SLOTS;
+    bk_uint i, empty = BK_ID_PAIRS;
 
-    for (i = 0; i < BK_ID_SLOTS; i++) {
+    for (i = 0; i < BK_ID_PAIRS; i++) {
         if (sums[2 * i] > 0.0f && sums[2 * i + 1] == id) {
             sums[2 * i] += 1.0f;
             return;
         }
-        if (empty == BK_ID_SLOTS && sums[2 * i] == 0.0f)
+        if (empty == BK_ID_PAIRS && sums[2 * i] == 0.0f)
             empty = i;
     }
-    if (empty < BK_ID_SLOTS) {
+    if (empty < BK_ID_PAIRS) {
         sums[2 * empty] = 1.0f;
         sums[2 * empty + 1] = id;
         return;
     }
-    for (i = 0; i < BK_ID_SLOTS; i++)
+    for (i = 0; i < BK_ID_PAIRS; i++)
         sums[2 * i] -= 1.0f;
 }
 

@@ -271,7 +271,7 @@ BK_FN void bk_trace_hits(const bk_grid *grid, const bk_params *params, bk_cache 
             traced->hits = hits;
         if (++pass == passes)
             break;
-        bk_look_past(&hits, &lines);
+        bk_skip_bounds(&hits, &lines);
     }
     bk_hits_for_maps(params, &traced->points, &traced->start, &traced->hits, out);
     out->confidence = bk_splat(0.0f);

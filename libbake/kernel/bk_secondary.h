@@ -144,8 +144,8 @@ BK_FN void bk_turn_sine(bk_fw u, bk_fw *sine, bk_fw *cosine)
 BK_FN bk_vec3w bk_cone_directions(const bk_rays *rays, bk_share share, bk_uint first)
 {
     const bk_uint seed = share.seed ^ (rays->open ? 0u : BK_SOLID_SEED);
-    const float samples = (float)(bk_int)rays->samples, part = (float)(bk_int)share.first;
-    const float shift = (part + bk_fraction(bk_hash(seed ^ 1u))) / samples;
+    const float samples = (float)(bk_int)rays->samples, ordinal = (float)(bk_int)share.first;
+    const float shift = (ordinal + bk_fraction(bk_hash(seed ^ 1u))) / samples;
     const bk_uint turn_each = rays->samples == 4u ? BK_TURN_OF_FOUR : BK_TURN;
     const bk_uint angle = bk_hash(seed ^ 2u);
     bk_int number[BK_WIDTH], turn[BK_WIDTH];

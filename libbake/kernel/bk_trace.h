@@ -463,7 +463,7 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
 #define BK_NEXT_SHEET 2.0f
 
 /* Turns lines to the next surfaces that they could have hit too, on either side of their hits. */
-BK_FN void bk_look_past(const bk_hits *hits, bk_lines *lines)
+BK_FN void bk_skip_bounds(const bk_hits *hits, bk_lines *lines)
 {
     const bk_mask found = bk_mask_of(hits->found);
     const bk_fw zero = bk_splat(0.0f), t = bk_select(found, hits->t, zero);

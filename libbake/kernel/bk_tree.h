@@ -264,18 +264,18 @@ BK_FN bk_uint bk_tree_children(const BK_GLOBAL bk_ulong2 *words, const bk_tree_w
     const bk_ulong ny = walk->octant & 2u ? by.y : by.x, fy = walk->octant & 2u ? by.x : by.y;
     const bk_ulong nz = walk->octant & 1u ? bz.y : bz.x, fz = walk->octant & 1u ? bz.x : bz.y;
     const float t_last = bk_upper(walk->t_stop, visits->t_begin);
-    bk_uint i, part, met = 0;
+    bk_uint i, low_bit, met = 0;
 
-    for (part = 0; part < 64; part += 32)
+    for (low_bit = 0; low_bit < 64; low_bit += 32)
         for (i = 0; i < 4; i++) {
             float t_in = visits->t_begin, t_out = t_last;
-            bk_tree_narrow((bk_uint)(nx >> part), (bk_uint)(fx >> part), i, sx, near_x, far_x,
+            bk_tree_narrow((bk_uint)(nx >> low_bit), (bk_uint)(fx >> low_bit), i, sx, near_x, far_x,
                            &t_in, &t_out);
-            bk_tree_narrow((bk_uint)(ny >> part), (bk_uint)(fy >> part), i, sy, near_y, far_y,
+            bk_tree_narrow((bk_uint)(ny >> low_bit), (bk_uint)(fy >> low_bit), i, sy, near_y, far_y,
                            &t_in, &t_out);
-            bk_tree_narrow((bk_uint)(nz >> part), (bk_uint)(fz >> part), i, sz, near_z, far_z,
+            bk_tree_narrow((bk_uint)(nz >> low_bit), (bk_uint)(fz >> low_bit), i, sz, near_z, far_z,
                            &t_in, &t_out);
-            met |= (t_in <= t_out ? 1u : 0u) << (part / 8 + i);
+            met |= (t_in <= t_out ? 1u : 0u) << (low_bit / 8 + i);
         }
     return met;
 }

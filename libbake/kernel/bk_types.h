@@ -55,7 +55,7 @@ typedef struct bk_params {
     bk_int index_min[3]; /* bounds of the grid's active voxels, inclusive */
     bk_int index_max[3];
     bk_uint upper_count, lower_count, leaf_count;
-    bk_uint tile_count; /* root tiles */
+    bk_uint root_tile_count; /* root tiles */
     bk_uint second_base_low,
         second_base_high; /* 1 + voxel count: number of the first second record */
     /* Byte distances in the file, low word first: from the root to the upper nodes, from those to

@@ -103,13 +103,13 @@ int bake_mikkt_weld(struct bsq_ctx *ctx, const struct mikkt_input *input, uint32
         return status;
     memset(table, 0xff, capacity * sizeof(*table));
     for (uint32_t c = 0; c < input->corner_count && status == 0; c++) {
-        uint64_t slot = hash_corner(input, c) & (capacity - 1);
-        for (; table[slot] != NONE && !equal_corners(input, table[slot], c) && status == 0;
-             slot = (slot + 1) & (capacity - 1))
+        uint64_t cell = hash_corner(input, c) & (capacity - 1);
+        for (; table[cell] != NONE && !equal_corners(input, table[cell], c) && status == 0;
+             cell = (cell + 1) & (capacity - 1))
             status = ++steps % CORNERS_A_CHECK == 0 ? bsq_check(ctx) : 0;
-        if (table[slot] == NONE)
-            table[slot] = c;
-        vertices[c] = table[slot];
+        if (table[cell] == NONE)
+            table[cell] = c;
+        vertices[c] = table[cell];
         if (status == 0 && ++steps % CORNERS_A_CHECK == 0)
             status = bsq_check(ctx);
     }

@@ -149,7 +149,7 @@ static int maps_open_file(struct bsq_ctx *ctx, const struct bake_options *option
         .height = options->height,
         .channel_count = row->channels,
         .color = row->color,
-        .tile_side = options->exr_tile_side,
+        .exr_tile_side = options->exr_tile_side,
         .rounded = row->rounded,
         .attributes = attributes.list,
         .attribute_count = attributes.count,

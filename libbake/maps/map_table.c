@@ -223,7 +223,7 @@ static bool resolve_id(const float *sums, uint32_t channels, float weight, float
 {
     float most = sums[0], id = sums[1];
     (void)weight;
-    for (int i = 1; i < BK_ID_SLOTS; ++i)
+    for (int i = 1; i < BK_ID_PAIRS; ++i)
         if (sums[2 * i] > most || (sums[2 * i] == most && most > 0.0f && sums[2 * i + 1] < id)) {
             most = sums[2 * i];
             id = sums[2 * i + 1];

@@ -33,7 +33,7 @@ static bool has_padding(const struct bake_options *options)
 
 /* Returns what a single bit of `needs` asks for if the bake does not have it, or NULL. */
 static const char *lacks(uint32_t need, const struct bake_options *options,
-                         const struct bake_scans_seen *scans)
+                         const struct bake_scans_found *scans)
 {
     switch (need) {
     case PADDED_MAP:
@@ -296,7 +296,7 @@ static void warn_of_maps(struct bsq_ctx *ctx, const struct bsq_option *row, uint
 }
 
 void bake_warn_of_options(struct bsq_ctx *ctx, const struct bake_options *options,
-                          const bool *given, const struct bake_scans_seen *scans)
+                          const bool *given, const struct bake_scans_found *scans)
 {
     for (const struct bsq_option *row = table; row < table + ROWS; row++) {
         const uint32_t maps = row->needs & (PADDED_MAP - 1);

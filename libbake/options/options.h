@@ -11,11 +11,11 @@ int bake_check_maps(struct bsq_ctx *ctx, const struct bake_options *options, uin
 int bake_check_tile_numbers(struct bsq_ctx *ctx, const struct bake_options *options);
 
 /* What the scans of a bake are. */
-struct bake_scans_seen {
+struct bake_scans_found {
     bool grid, normals; /* one is a grid; all have normals of their own, as grids do */
 };
-/* Warns of options without effect, see bake_look(). */
+/* Warns of options without effect, see bake_inspect(). */
 void bake_warn_of_options(struct bsq_ctx *ctx, const struct bake_options *options,
-                          const bool *given, const struct bake_scans_seen *scans);
+                          const bool *given, const struct bake_scans_found *scans);
 
 #endif

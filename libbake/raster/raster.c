@@ -264,7 +264,7 @@ void bake_blocks_to_image(const struct bake_blocks *blocks, uint32_t *x, uint32_
 {
     const uint64_t block = (uint64_t)(*y / blocks->side) * blocks->columns + *x / blocks->side;
     *x %= blocks->side;
-    *y = blocks->slots[block] * blocks->side + *y % blocks->side;
+    *y = blocks->places[block] * blocks->side + *y % blocks->side;
 }
 
 /* Returns whether a patch lies in a block to bake. */
@@ -274,8 +274,8 @@ static bool is_selected(const struct bake_raster *raster, uint32_t column, uint3
     const uint64_t size = raster->options.patch_side;
     if (!blocks)
         return true;
-    return blocks->slots[row * size / blocks->side * blocks->columns +
-                         column * size / blocks->side] != BAKE_NO_SLOT;
+    return blocks->places[row * size / blocks->side * blocks->columns +
+                          column * size / blocks->side] != BAKE_NO_PLACE;
 }
 
 static uint64_t triangles_end(const struct bake_raster *raster)

@@ -13,10 +13,10 @@
 struct bake_blocks {
     uint32_t side; /* texels; sides of patches divide it */
     uint32_t columns, rows;
-    uint32_t count;        /* blocks to bake */
-    const uint32_t *slots; /* for each block: its number among those to bake, or BAKE_NO_SLOT */
+    uint32_t count;         /* blocks to bake */
+    const uint32_t *places; /* for each block: its number among those to bake, or BAKE_NO_PLACE */
 };
-#define BAKE_NO_SLOT UINT32_MAX
+#define BAKE_NO_PLACE UINT32_MAX
 
 /* Converts the place of a texel in the map to the place in an image that holds the blocks to bake
  * one below the other. The texel must lie in such a block. */

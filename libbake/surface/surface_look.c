@@ -19,7 +19,7 @@ struct bake_look {
     const struct bake_surface *surface;
     struct bk_params params; /* with lengths in world units */
     struct bake_ray_states states;
-    struct bake_exact_look *kept; /* of the only scan, if that has triangles */
+    struct bake_exact_look *only; /* of the only scan, if that has triangles */
     struct bake_tree *trees;      /* of each scan that is a grid */
     struct bake_native_workers workers;
     float *found; /* of each worker: what the rays of a hit found, see bk_add_up() */
@@ -115,13 +115,13 @@ static int look_task(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 static int look_at_triangles(struct view *view, const struct bake_scan *scan)
 {
     struct bake_look *look = view->look;
-    struct bake_exact_look *exact = look->kept;
+    struct bake_exact_look *exact = look->only;
     int status = 0;
     if (!exact)
         BSQ_TRY(bake_exact_look_create(scan->exact, &scan->params, &exact));
     status = bake_exact_look_from(exact, &view->viewpoints, &look->states);
 done:
-    if (!look->kept)
+    if (!look->only)
         bake_exact_look_free(exact);
     return status;
 }
@@ -304,7 +304,7 @@ int bake_look_create(const struct bake_surface *surface, uint64_t most, struct b
     if (status == 0)
         status = create_states(look, most);
     if (status == 0 && surface->scan_count == 1 && scan->exact)
-        status = bake_exact_look_create(scan->exact, &scan->params, &look->kept);
+        status = bake_exact_look_create(scan->exact, &scan->params, &look->only);
     if (status < 0)
         bake_look_free(look);
     else
@@ -318,7 +318,7 @@ void bake_look_free(struct bake_look *look)
     if (!look)
         return;
     struct bsq_ctx *ctx = look->surface->ctx;
-    bake_exact_look_free(look->kept);
+    bake_exact_look_free(look->only);
     for (uint32_t s = 0; look->trees && s < look->surface->scan_count; s++)
         bake_tree_free(ctx, &look->trees[s]);
     bsq_free(ctx, look->trees);

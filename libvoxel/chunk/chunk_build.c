@@ -121,7 +121,7 @@ static uint64_t hash_stored(const struct chunk_builder *b, uint32_t number)
     return hash_vertex(b, &v);
 }
 
-static inline uint32_t table_slot(const struct chunk_builder *b, uint64_t hash)
+static inline uint32_t table_cell(const struct chunk_builder *b, uint64_t hash)
 {
     return (uint32_t)(hash >> (64 - b->table_bits));
 }
@@ -143,24 +143,24 @@ static void enlarge_table(struct chunk_builder *b)
     const uint32_t mask = (1u << b->table_bits) - 1;
     for (uint32_t number = 0; number < b->vertex_count; number++) {
         uint64_t hash = hash_stored(b, number);
-        uint32_t slot = table_slot(b, hash);
-        while (b->table[slot] != 0)
-            slot = (slot + 1) & mask;
-        b->table[slot] = table_entry(hash, number);
+        uint32_t cell = table_cell(b, hash);
+        while (b->table[cell] != 0)
+            cell = (cell + 1) & mask;
+        b->table[cell] = table_entry(hash, number);
     }
 }
 
 /* Assigns the next number to the vertex whose values were stored last. */
-static inline uint32_t enter_vertex(struct chunk_builder *b, uint32_t slot, uint64_t hash)
+static inline uint32_t enter_vertex(struct chunk_builder *b, uint32_t cell, uint64_t hash)
 {
     uint32_t number = b->vertex_count++;
-    b->table[slot] = table_entry(hash, number);
+    b->table[cell] = table_entry(hash, number);
     if (b->table_bits < MAX_TABLE_BITS && b->vertex_count > (3u << b->table_bits) / 4)
         enlarge_table(b);
     return number;
 }
 
-static uint32_t build_add_vertex(struct chunk_builder *b, const struct vertex *v, uint32_t slot,
+static uint32_t build_add_vertex(struct chunk_builder *b, const struct vertex *v, uint32_t cell,
                                  uint64_t hash)
 {
     const uint32_t number = b->vertex_count;
@@ -173,21 +173,21 @@ static uint32_t build_add_vertex(struct chunk_builder *b, const struct vertex *v
         b->colors[number] = v->color;
     if (b->fine_colors)
         b->fine_colors[number] = v->fine_color;
-    return enter_vertex(b, slot, hash);
+    return enter_vertex(b, cell, hash);
 }
 
 /* Returns the number of the vertex in the chunk. Adds it if it is new. */
 static inline uint32_t number_hashed(struct chunk_builder *b, const struct vertex *v, uint64_t hash)
 {
     const uint32_t mask = (1u << b->table_bits) - 1;
-    uint32_t slot = table_slot(b, hash), entry;
-    while ((entry = b->table[slot]) != 0) {
+    uint32_t cell = table_cell(b, hash), entry;
+    while ((entry = b->table[cell]) != 0) {
         uint32_t number = (entry & NUMBER_MASK) - 1;
         if (entry == table_entry(hash, number) && same_vertex(b, number, v))
             return number;
-        slot = (slot + 1) & mask;
+        cell = (cell + 1) & mask;
     }
-    return build_add_vertex(b, v, slot, hash);
+    return build_add_vertex(b, v, cell, hash);
 }
 
 static inline uint32_t number_vertex(struct chunk_builder *b, const struct vertex *v)
@@ -332,15 +332,15 @@ static inline uint32_t number_position(struct chunk_builder *b, const float posi
                                        uint64_t hash)
 {
     const uint32_t mask = (1u << b->table_bits) - 1;
-    uint32_t slot = table_slot(b, hash), entry;
-    for (; (entry = b->table[slot]) != 0; slot = (slot + 1) & mask) {
+    uint32_t cell = table_cell(b, hash), entry;
+    for (; (entry = b->table[cell]) != 0; cell = (cell + 1) & mask) {
         uint32_t number = (entry & NUMBER_MASK) - 1;
         /* NOLINTNEXTLINE(bugprone-suspicious-memory-comparison): bit by bit, as same_vertex() */
         if (entry == table_entry(hash, number) && memcmp(b->positions[number], position, 12) == 0)
             return number;
     }
     memcpy(b->positions[b->vertex_count], position, 12);
-    return enter_vertex(b, slot, hash);
+    return enter_vertex(b, cell, hash);
 }
 
 static void number_pending(struct chunk_builder *b, struct pending_corners *pending,
@@ -351,7 +351,7 @@ static void number_pending(struct chunk_builder *b, struct pending_corners *pend
         __builtin_prefetch(stream_at(&positions, pending->index[i], 12));
     for (uint32_t i = 0; i < pending_count; i++) {
         pending->hash[i] = build_hash_position(stream_at(&positions, pending->index[i], 12));
-        __builtin_prefetch(&b->table[table_slot(b, pending->hash[i])]);
+        __builtin_prefetch(&b->table[table_cell(b, pending->hash[i])]);
     }
     for (uint32_t i = 0; i < pending_count; i++) {
         const uint32_t index = pending->index[i];
@@ -371,8 +371,8 @@ static void resolve_pending(const struct pending_corners *pending, uint32_t *num
 {
     for (uint32_t i = 0; i < count; i++) {
         uint32_t pending_count = 0 - (numbers[i] >> 31),
-                 slot = numbers[i] & ~PENDING_FLAG & pending_count;
-        numbers[i] = (pending->number[slot] & pending_count) | (numbers[i] & ~pending_count);
+                 cell = numbers[i] & ~PENDING_FLAG & pending_count;
+        numbers[i] = (pending->number[cell] & pending_count) | (numbers[i] & ~pending_count);
     }
 }
 

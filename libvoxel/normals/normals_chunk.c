@@ -52,8 +52,8 @@ static uint64_t slot_lay_out(const struct normals_run *run, uint8_t *memory, str
         normals_place(memory, &at, creases * BSQ_RING_ROWS, sizeof *s->rings.seconds);
     s->rings.creases = normals_place(memory, &at, creases, sizeof *s->rings.creases);
     s->rings.crease_of = normals_place(memory, &at, rings, sizeof *s->rings.crease_of);
-    s->table.slots =
-        normals_place(memory, &at, bsq_positions_slots(run->vertices), sizeof *s->table.slots);
+    s->table.cells =
+        normals_place(memory, &at, bsq_positions_cells(run->vertices), sizeof *s->table.cells);
     s->ring_of = normals_place(memory, &at, vertices, sizeof *s->ring_of);
     s->open_triangles = normals_place(memory, &at, most, sizeof *s->open_triangles);
     s->edges = normals_place(memory, &at, rings, sizeof *s->edges);
@@ -77,30 +77,30 @@ static void number_vertices(struct ring_slot *s)
         s->ring_of[v] = v + 1;
 }
 
-/* Finds vertices at the same position. Most vertices find their slot of the table free, which
+/* Finds vertices at the same position. Most vertices find their cell of the table free, which
  * processors cannot predict. So the others are put off without a branch, and looked up after all
- * first ones have slots. */
+ * first ones have cells. */
 static void weld_vertices(struct ring_slot *s)
 {
     uint32_t *late = s->open_triangles, late_count = 0;
     const uint32_t count = s->tris.vertex_count;
     s->table.positions = s->tris.positions;
-    s->table.mask = bsq_positions_slots(count) - 1;
-    memset(s->table.slots, 0, (s->table.mask + UINT64_C(1)) * sizeof *s->table.slots);
+    s->table.mask = bsq_positions_cells(count) - 1;
+    memset(s->table.cells, 0, (s->table.mask + UINT64_C(1)) * sizeof *s->table.cells);
     for (uint32_t v = 0; v < count; v++) {
-        uint32_t *slot = &s->table.slots[bsq_position_hash(s->tris.positions[v]) & s->table.mask];
-        const uint32_t taken = *slot != 0;
-        *slot = taken ? *slot : v + 1;
+        uint32_t *cell = &s->table.cells[bsq_position_hash(s->tris.positions[v]) & s->table.mask];
+        const uint32_t taken = *cell != 0;
+        *cell = taken ? *cell : v + 1;
         s->ring_of[v] = v + 1;
         late[late_count] = v;
         late_count += taken;
     }
     for (uint32_t i = 0; i < late_count; i++) {
         const uint32_t v = late[i];
-        uint32_t *slot = bsq_positions_find(&s->table, s->tris.positions[v]);
-        if (*slot == 0)
-            *slot = v + 1;
-        s->ring_of[v] = *slot;
+        uint32_t *cell = bsq_positions_find(&s->table, s->tris.positions[v]);
+        if (*cell == 0)
+            *cell = v + 1;
+        s->ring_of[v] = *cell;
     }
 }
 

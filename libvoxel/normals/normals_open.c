@@ -55,8 +55,8 @@ static uint64_t worker_lay_out(uint8_t *memory, struct open_worker *w)
     w->rings.seconds = normals_place(memory, &at, rings * BSQ_RING_ROWS, sizeof *w->rings.seconds);
     w->rings.creases = normals_place(memory, &at, rings, sizeof *w->rings.creases);
     w->rings.crease_of = normals_place(memory, &at, rings, sizeof *w->rings.crease_of);
-    w->table.slots =
-        normals_place(memory, &at, bsq_positions_slots(w->most), sizeof *w->table.slots);
+    w->table.cells =
+        normals_place(memory, &at, bsq_positions_cells(w->most), sizeof *w->table.cells);
     w->positions = normals_place(memory, &at, w->most, sizeof *w->positions);
     w->all = normals_place(memory, &at, rings, sizeof *w->all);
     w->firsts = normals_place(memory, &at, rings, sizeof *w->firsts);
@@ -73,16 +73,16 @@ static uint64_t worker_lay_out(uint8_t *memory, struct open_worker *w)
 /* Finds the one-ring of a position, or makes it. Returns false if there is no space for it. */
 static bool find_ring(struct open_worker *w, const float position[3], uint32_t hash, uint32_t *ring)
 {
-    uint32_t *slot = bsq_positions_find_hashed(&w->table, position, hash);
-    if (*slot == 0) {
+    uint32_t *cell = bsq_positions_find_hashed(&w->table, position, hash);
+    if (*cell == 0) {
         if (w->count == w->most)
             return false;
         memcpy(w->positions[w->count], position, sizeof *w->positions);
-        *slot = ++w->count;
-        memset(w->rings.sums[*slot * (uint64_t)BSQ_RING_ROWS], 0,
+        *cell = ++w->count;
+        memset(w->rings.sums[*cell * (uint64_t)BSQ_RING_ROWS], 0,
                BSQ_RING_ROWS * sizeof *w->rings.sums);
     }
-    *ring = *slot;
+    *ring = *cell;
     return true;
 }
 
@@ -155,7 +155,7 @@ static int join_part(struct open_worker *w, const struct open_part *part, bool *
     vox_rings_pack_fn *const pack = BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_pack);
     *fits = true;
     w->count = 0;
-    memset(w->table.slots, 0, (w->table.mask + UINT64_C(1)) * sizeof *w->table.slots);
+    memset(w->table.cells, 0, (w->table.mask + UINT64_C(1)) * sizeof *w->table.cells);
     BSQ_PASS(run_records(w, part, false, VOX_RING_SUM, fits));
     if (!*fits)
         return 0;
@@ -213,7 +213,7 @@ static int make_worker(struct normals_run *run, uint32_t most, struct open_worke
     *w = (struct open_worker){.run = run, .most = most};
     BSQ_PASS(bsq_alloc(run->ctx, "normals", worker_lay_out(NULL, w), 1, &memory));
     worker_lay_out(memory, w);
-    w->table.mask = bsq_positions_slots(most) - 1;
+    w->table.mask = bsq_positions_cells(most) - 1;
     w->table.positions = (const float(*)[3])w->positions;
     w->rings.positions = (const float(*)[3])w->corners;
     w->rings.triangles = (const uint32_t(*)[3])w->triangles;

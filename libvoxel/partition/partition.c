@@ -32,7 +32,7 @@ struct reading {
     uint64_t used_before; /* bytes of the budget, before reading */
     struct batch_slot *slots;
     unsigned slot_count;
-    struct triangulation_plan plan;
+    struct triangulation rules;
     bool spilled;                         /* positions are in a file, after faces have begun */
     struct vertex_buckets vertex_buckets; /* then */
 };
@@ -199,14 +199,14 @@ static int begin_faces(struct reading *r)
     r->out->cube = morton_cube_over(r->scan->bounds_min, r->scan->bounds_max);
     BSQ_PASS(partition_divide_memory(r, &pages));
     BSQ_PASS(make_buckets(r, pages));
-    r->plan = (struct triangulation_plan){
+    r->rules = (struct triangulation){
         .scan = r->scan,
         .cube = r->out->cube,
         .levels = r->out->levels,
         .vertex_buckets = r->spilled ? &r->vertex_buckets : NULL,
     };
     for (unsigned i = 0; i < r->slot_count; i++)
-        BSQ_PASS(vox_triangulator_init(&r->slots[i].triangulator, r->scan->ctx, &r->plan));
+        BSQ_PASS(vox_triangulator_init(&r->slots[i].triangulator, r->scan->ctx, &r->rules));
     r->begun = true;
     return 0;
 }

@@ -31,9 +31,9 @@ struct faces {
 
 /* Returns the most bytes that a coded triangle of this scan takes: differences of indices take four
  * bytes if there are fewer than 2^31. */
-static inline uint32_t coded_triangle_bytes(const struct triangulation_plan *plan, uint32_t kinds)
+static inline uint32_t coded_triangle_bytes(const struct triangulation *rules, uint32_t kinds)
 {
-    const struct scan *scan = plan->scan;
+    const struct scan *scan = rules->scan;
     uint64_t most = scan_count(scan, SCAN_POSITIONS) | scan_count(scan, SCAN_TEXCOORDS) |
                     scan_count(scan, SCAN_NORMALS);
     return kinds * (most >> 31 ? CORNER_CODE_MAX : 13);
@@ -42,10 +42,10 @@ static inline uint32_t coded_triangle_bytes(const struct triangulation_plan *pla
 /* ---- memory ---- */
 
 int vox_triangulator_init(struct triangulator *t, struct bsq_ctx *ctx,
-                          const struct triangulation_plan *plan)
+                          const struct triangulation *rules)
 {
-    uint64_t buckets = (uint64_t)1 << 3 * plan->levels;
-    *t = (struct triangulator){.ctx = ctx, .plan = plan};
+    uint64_t buckets = (uint64_t)1 << 3 * rules->levels;
+    *t = (struct triangulator){.ctx = ctx, .rules = rules};
     return BSQ_CALLOC(ctx, "faces", buckets, &t->counts);
 }
 
@@ -61,7 +61,7 @@ static int reserve_polygon(struct triangulator *t, uint32_t max_size)
     const char *what = "faces";
     if (max_size <= 3)
         return 0;
-    if (t->plan->vertex_buckets && !t->pages)
+    if (t->rules->vertex_buckets && !t->pages)
         BSQ_PASS(BSQ_CALLOC(t->ctx, what, 1, &t->pages));
     BSQ_PASS(BSQ_GROW(t->ctx, what, max_size, &t->polygon, &t->polygon_capacity[0]));
     BSQ_PASS(bsq_grow(t->ctx, what, max_size, 12, &t->polygon_triangles, &t->polygon_capacity[1]));
@@ -74,7 +74,7 @@ static int reserve_polygon(struct triangulator *t, uint32_t max_size)
 static inline const float *corner_position(const struct triangulator *t, const struct faces *faces,
                                            uint32_t corner)
 {
-    return stream_at(&t->plan->scan->streams[SCAN_POSITIONS],
+    return stream_at(&t->rules->scan->streams[SCAN_POSITIONS],
                      faces->indices[FMT_MESH_VERTEX][corner], 12);
 }
 
@@ -82,17 +82,17 @@ static inline const float *corner_position(const struct triangulator *t, const s
 static inline uint32_t bucket_of(const struct triangulator *t, const struct faces *faces,
                                  uint32_t corner)
 {
-    if (t->plan->vertex_buckets)
-        return vertex_bucket(t->plan->vertex_buckets, faces->indices[FMT_MESH_VERTEX][corner]);
-    return morton_cell(&t->plan->cube, t->plan->levels, corner_position(t, faces, corner));
+    if (t->rules->vertex_buckets)
+        return vertex_bucket(t->rules->vertex_buckets, faces->indices[FMT_MESH_VERTEX][corner]);
+    return morton_cell(&t->rules->cube, t->rules->levels, corner_position(t, faces, corner));
 }
 
 /* Returns the address that bucket_of() reads. */
 static inline const void *bucket_source(const struct triangulator *t, const struct faces *faces,
                                         uint32_t corner)
 {
-    if (t->plan->vertex_buckets)
-        return vertex_bucket_place(t->plan->vertex_buckets,
+    if (t->rules->vertex_buckets)
+        return vertex_bucket_place(t->rules->vertex_buckets,
                                    faces->indices[FMT_MESH_VERTEX][corner]);
     return corner_position(t, faces, corner);
 }
@@ -111,7 +111,7 @@ static inline uint32_t faces_corner_of(const struct triangulator *t, const struc
 static int read_position(struct triangulator *t, const struct faces *faces, uint32_t corner,
                          const float **out)
 {
-    const struct attribute_stream *stream = &t->plan->scan->streams[SCAN_POSITIONS];
+    const struct attribute_stream *stream = &t->rules->scan->streams[SCAN_POSITIONS];
     const uint64_t vertex = faces->indices[FMT_MESH_VERTEX][corner], page = vertex / PAGE_VERTICES;
     const uint64_t first = page * PAGE_VERTICES, left = stream->count - first;
     float(*positions)[3] = t->pages->positions[page % PAGES];
@@ -376,8 +376,8 @@ static uint32_t most_runs(uint64_t triangles)
 static int reserve_plain(struct triangulator *t, uint64_t triangles)
 {
     uint64_t runs = most_runs(triangles), headers = runs + triangles / RUN_TRIANGLES + 1;
-    uint64_t bytes =
-        triangles * coded_triangle_bytes(t->plan, 1) + headers * RUN_HEADER_MAX + CORNER_CODE_SLACK;
+    uint64_t bytes = triangles * coded_triangle_bytes(t->rules, 1) + headers * RUN_HEADER_MAX +
+                     CORNER_CODE_SLACK;
     BSQ_PASS(bsq_grow(t->ctx, "faces", bytes, 1, &t->bytes, &t->bytes_capacity));
     return BSQ_GROW(t->ctx, "faces", runs, &t->runs, &t->run_capacity);
 }
@@ -397,12 +397,12 @@ static void end_bucket(struct triangulator *t, struct run_writer *w)
 static bool code_triangles(struct triangulator *t, const struct faces *faces)
 {
     /* Copies tell the compiler that nothing written here changes them. */
-    const struct attribute_stream positions = t->plan->scan->streams[SCAN_POSITIONS];
-    const struct morton_cube cube = t->plan->cube;
-    const uint32_t levels = t->plan->levels;
-    const bool known = t->plan->vertex_buckets != NULL;
+    const struct attribute_stream positions = t->rules->scan->streams[SCAN_POSITIONS];
+    const struct morton_cube cube = t->rules->cube;
+    const uint32_t levels = t->rules->levels;
+    const bool known = t->rules->vertex_buckets != NULL;
     const struct vertex_buckets buckets =
-        known ? *t->plan->vertex_buckets : (struct vertex_buckets){0};
+        known ? *t->rules->vertex_buckets : (struct vertex_buckets){0};
     const uint32_t material = run_material(faces->batch->material_at_start, true);
     const uint64_t *v = faces->indices[FMT_MESH_VERTEX];
     const uint64_t triangles = faces->batch->face_count;
@@ -458,8 +458,8 @@ static int faces_reserve(struct triangulator *t, const struct faces *faces, uint
         kinds += faces->indices[kind] != NULL;
     /* At most a header for each triangle. */
     const uint64_t bytes =
-        triangles * (coded_triangle_bytes(t->plan, kinds) + RUN_HEADER_MAX) + CORNER_CODE_SLACK;
-    const uint64_t buckets = (uint64_t)1 << 3 * t->plan->levels;
+        triangles * (coded_triangle_bytes(t->rules, kinds) + RUN_HEADER_MAX) + CORNER_CODE_SLACK;
+    const uint64_t buckets = (uint64_t)1 << 3 * t->rules->levels;
     const uint64_t runs = (buckets < triangles ? buckets : triangles) + 1;
     BSQ_PASS(bsq_grow(t->ctx, what, bytes, 1, &t->bytes, &t->bytes_capacity));
     BSQ_PASS(BSQ_GROW(t->ctx, what, runs, &t->runs, &t->run_capacity));

@@ -12,7 +12,7 @@
 /* ---- batches ---- */
 
 /* What all batches of a scan have in common. */
-struct triangulation_plan {
+struct triangulation {
     const struct scan *scan;
     struct morton_cube cube;
     uint32_t levels; /* the first 3 * levels bits of a key name a bucket */
@@ -28,7 +28,7 @@ struct bucket_runs {
 /* Buffers and result of triangulating one batch after the other. */
 struct triangulator {
     struct bsq_ctx *ctx;
-    const struct triangulation_plan *plan;
+    const struct triangulation *rules;
     /* Result. */
     struct bucket_runs *runs;
     uint32_t run_count;
@@ -53,7 +53,7 @@ struct triangulator {
 
 /* Initialises a triangulator. Free it with vox_triangulator_free(), also after failure. */
 int vox_triangulator_init(struct triangulator *t, struct bsq_ctx *ctx,
-                          const struct triangulation_plan *plan);
+                          const struct triangulation *rules);
 void vox_triangulator_free(struct triangulator *t);
 
 /* Triangulates a batch whose indices are in range. max_size: corners of its largest face. Errors:

@@ -227,9 +227,9 @@ static uint32_t scale_color(uint32_t packed, bool bytes)
 {
     uint32_t color = 0xff000000u;
     for (int i = 0; i < 3; i++) {
-        const uint32_t part = packed >> 9 * i & 511;
-        const uint32_t as_unit = part < 256 ? part : 255,
-                       as_byte = part < 256 ? part / 128 : part - 256;
+        const uint32_t level = packed >> 9 * i & 511;
+        const uint32_t as_unit = level < 256 ? level : 255,
+                       as_byte = level < 256 ? level / 128 : level - 256;
         color |= (bytes ? as_byte : as_unit) << 8 * i;
     }
     return color;
@@ -241,12 +241,12 @@ static uint32_t scale_fine_color(uint32_t packed, bool bytes, uint32_t fine)
     const uint32_t color = scale_color(packed, bytes);
     uint32_t scaled = 0;
     for (int i = 0; i < 3; i++) {
-        const int32_t part = packed >> 9 * i & 511, rest = fmt_tris_color_rest(fine, i);
-        if (bytes == (part > 255))
+        const int32_t level = packed >> 9 * i & 511, rest = fmt_tris_color_rest(fine, i);
+        if (bytes == (level > 255))
             scaled |= fmt_tris_pack_rest(rest, i);
         else if (bytes) /* up to 1: steps of 1/255 become steps of 1 */
             scaled |= fmt_tris_pack_rest(
-                (1024 * part + rest + 127) / 255 - 1024 * (int32_t)(color >> 8 * i & 255), i);
+                (1024 * level + rest + 127) / 255 - 1024 * (int32_t)(color >> 8 * i & 255), i);
     }
     return scaled;
 }

@@ -37,7 +37,7 @@ struct corner {
  * that.
  */
 struct mark {
-    uint32_t seen_after, seen_before, corner;
+    uint32_t after_mark, before_mark, corner;
 };
 
 struct clustering {
@@ -322,13 +322,13 @@ static void keep_triangles(struct clustering *c)
 /* Marks the neighbours of a new vertex. Returns whether each is once after and once before it. */
 static bool mark_neighbours(struct clustering *c, uint32_t v)
 {
-    const uint32_t seen = v + 1;
+    const uint32_t mark = v + 1;
     for (uint32_t i = c->first[v]; i < c->first[v + 1]; i++) {
         struct mark *after = &c->marks[c->corners[i].after],
                     *before = &c->marks[c->corners[i].before];
-        if (after->seen_after == seen || before->seen_before == seen)
+        if (after->after_mark == mark || before->before_mark == mark)
             return false;
-        after->seen_after = before->seen_before = seen;
+        after->after_mark = before->before_mark = mark;
         after->corner = i;
     }
     return true;
@@ -338,15 +338,15 @@ static bool mark_neighbours(struct clustering *c, uint32_t v)
  * that stays. Its neighbours are marked. */
 static bool is_surface(const struct clustering *c, uint32_t v)
 {
-    const uint32_t begin = c->first[v], end = c->first[v + 1], seen = v + 1;
+    const uint32_t begin = c->first[v], end = c->first[v + 1], mark = v + 1;
     const struct mark *marks = c->marks;
     uint32_t steps = 0, starts = 0;
     for (uint32_t i = begin; i < end; i++) {
         uint32_t a = c->corners[i].after;
-        if (marks[a].seen_before == seen)
+        if (marks[a].before_mark == mark)
             continue;
         starts++;
-        for (; marks[a].seen_after == seen; a = c->corners[marks[a].corner].before)
+        for (; marks[a].after_mark == mark; a = c->corners[marks[a].corner].before)
             steps++;
     }
     if (starts > 0)
@@ -365,7 +365,7 @@ static bool is_folded(const struct clustering *c, uint32_t v)
 {
     for (uint32_t i = c->first[v]; i < c->first[v + 1]; i++) {
         const uint32_t w = c->corners[i].before;
-        if (w < v || c->marks[w].seen_after != v + 1) /* each edge once */
+        if (w < v || c->marks[w].after_mark != v + 1) /* each edge once */
             continue;
         const float *n = c->normals[c->corners[i].triangle],
                     *m = c->normals[c->corners[c->marks[w].corner].triangle];

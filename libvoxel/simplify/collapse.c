@@ -359,13 +359,13 @@ static void push_edge(struct collapse *c, uint32_t u, uint32_t v, double cost)
 static void push_edges(struct collapse *c, uint32_t vertex, bool higher)
 {
     struct result result;
-    const uint32_t seen = ++c->rings.walk;
+    const uint32_t mark = ++c->rings.walk;
     for (VOX_EACH_CORNER(&c->rings, vertex, k)) {
         const uint32_t ends[2] = {vox_after(&c->rings, k), vox_before(&c->rings, k)};
         for (int i = 0; i < 2; i++) {
-            if (c->rings.marks[ends[i]] == seen || (higher && ends[i] < vertex))
+            if (c->rings.marks[ends[i]] == mark || (higher && ends[i] < vertex))
                 continue;
-            c->rings.marks[ends[i]] = seen;
+            c->rings.marks[ends[i]] = mark;
             if (bsq_check(c->rings.ctx) < 0)
                 return;
             if (evaluate(c, vertex, ends[i], &result))
@@ -457,15 +457,15 @@ static bool put_back(struct collapse *c, const struct candidate *candidate, doub
 static void update_vertex(struct collapse *c, uint32_t v)
 {
     struct vox_rings *r = &c->rings;
-    const uint32_t seen = ++r->walk;
+    const uint32_t mark = ++r->walk;
     c->stamps[v]++;
     sum_around(c, v);
     for (VOX_EACH_CORNER(r, v, k)) {
         const uint32_t ends[2] = {vox_after(r, k), vox_before(r, k)};
         for (int i = 0; i < 2; i++) {
-            if (r->marks[ends[i]] != seen)
+            if (r->marks[ends[i]] != mark)
                 sum_around(c, ends[i]);
-            r->marks[ends[i]] = seen;
+            r->marks[ends[i]] = mark;
         }
     }
     push_edges(c, v, false);

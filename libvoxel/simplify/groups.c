@@ -100,7 +100,7 @@ done:
     return status;
 }
 
-static int read_part(const struct level *level, uint64_t index, struct vox_mesh *mesh)
+static int read_spilled(const struct level *level, uint64_t index, struct vox_mesh *mesh)
 {
     const struct member *member = &level->members[index];
     const uint64_t positions = member->vertices * sizeof *mesh->positions,
@@ -143,7 +143,7 @@ static int join_members(const struct level *level, uint64_t begin, uint64_t end,
     mesh->vertex_count = mesh->triangle_count = 0;
     for (uint64_t i = begin; i < end; i++) {
         const struct member *member = &level->members[i];
-        BSQ_TRY(level->chunks ? read_chunk(level, i, mesh) : read_part(level, i, mesh));
+        BSQ_TRY(level->chunks ? read_chunk(level, i, mesh) : read_spilled(level, i, mesh));
         for (uint32_t t = 0; t < member->triangles; t++)
             for (int k = 0; k < 3; k++)
                 mesh->triangles[mesh->triangle_count + t][k] += mesh->vertex_count;

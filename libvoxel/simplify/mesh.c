@@ -118,16 +118,16 @@ static void join_vertices(struct vox_mesh *mesh, struct bsq_positions *table, ui
 {
     uint32_t count = 0;
     for (uint32_t v = 0; v < mesh->vertex_count; v++) {
-        uint32_t *slot = bsq_positions_find(table, mesh->positions[v]);
-        if (*slot == 0) {
+        uint32_t *cell = bsq_positions_find(table, mesh->positions[v]);
+        if (*cell == 0) {
             memmove(mesh->positions[count], mesh->positions[v], sizeof *mesh->positions);
             if (mesh->quadrics)
                 mesh->quadrics[count] = mesh->quadrics[v];
-            *slot = ++count;
+            *cell = ++count;
         } else if (mesh->quadrics) {
-            vox_quadric_add(&mesh->quadrics[*slot - 1], &mesh->quadrics[v]);
+            vox_quadric_add(&mesh->quadrics[*cell - 1], &mesh->quadrics[v]);
         }
-        numbers[v] = *slot - 1;
+        numbers[v] = *cell - 1;
     }
     mesh->vertex_count = count;
 }
@@ -180,17 +180,17 @@ int vox_mesh_weld(struct bsq_ctx *ctx, struct vox_mesh *mesh)
 {
     struct bsq_positions table = {.positions = (const float(*)[3])mesh->positions};
     uint32_t *numbers = NULL, *first = NULL, *next = NULL;
-    const uint32_t slots = bsq_positions_slots(mesh->vertex_count);
+    const uint32_t cells = bsq_positions_cells(mesh->vertex_count);
     int status = 0;
-    table.mask = slots - 1;
-    BSQ_TRY(BSQ_CALLOC(ctx, "welding a mesh", slots, &table.slots));
+    table.mask = cells - 1;
+    BSQ_TRY(BSQ_CALLOC(ctx, "welding a mesh", cells, &table.cells));
     BSQ_TRY(BSQ_ALLOC(ctx, "welding a mesh", mesh->vertex_count, &numbers));
     BSQ_TRY(BSQ_ALLOC(ctx, "welding a mesh", mesh->vertex_count, &first));
     BSQ_TRY(BSQ_ALLOC(ctx, "welding a mesh", mesh->triangle_count, &next));
     join_vertices(mesh, &table, numbers);
     join_triangles(mesh, numbers, first, next);
 done:
-    BSQ_FREE(ctx, next, first, numbers, table.slots);
+    BSQ_FREE(ctx, next, first, numbers, table.cells);
     return status;
 }
 

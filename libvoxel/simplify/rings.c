@@ -68,12 +68,12 @@ static void flag_seams(struct vox_rings *r, uint32_t v, uint8_t border)
         differ |= materials[k / VOX_RING_WORDS] != materials[k_first / VOX_RING_WORDS];
     if (!differ)
         return;
-    const uint32_t seen = ++r->walk;
+    const uint32_t mark = ++r->walk;
     for (VOX_EACH_CORNER(r, v, k)) {
         const uint32_t ends[2] = {vox_after(r, k), vox_before(r, k)};
         for (int i = 0; i < 2; i++) {
-            borders += r->marks[ends[i]] != seen && vox_rings_is_border(r, v, ends[i]);
-            r->marks[ends[i]] = seen;
+            borders += r->marks[ends[i]] != mark && vox_rings_is_border(r, v, ends[i]);
+            r->marks[ends[i]] = mark;
         }
     }
     r->flags[v] |= borders == 2 ? border : border | VOX_LOCKED;

@@ -197,7 +197,7 @@ static int add_chunks(struct vox_run *run, const struct vox_unit *unit,
                       uint64_t *counted)
 {
     const struct vox_box region = region_box(unit->origin);
-    struct vox_accumulation job = {
+    struct vox_accumulation chunk_sums = {
         .shading = &run->shading,
         .region = &region,
         .window = window,
@@ -210,9 +210,9 @@ static int add_chunks(struct vox_run *run, const struct vox_unit *unit,
         if (!vox_boxes_meet(&run->bounds[number], window))
             continue;
         if ((status = bsq_check(run->ctx)) < 0 ||
-            (status = vox_chunks_acquire(run->chunks, number, &job.chunk)) < 0)
+            (status = vox_chunks_acquire(run->chunks, number, &chunk_sums.chunk)) < 0)
             break;
-        status = BSQ_SIMD_PICK(bsq_simd_best(), vox_accumulate_chunk)(&job, counted);
+        status = BSQ_SIMD_PICK(bsq_simd_best(), vox_accumulate_chunk)(&chunk_sums, counted);
         vox_chunks_release(run->chunks, number);
     }
     return status;

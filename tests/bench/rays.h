@@ -13,7 +13,7 @@ struct rays_scene {
     struct bake_lowmesh mesh;
     struct bake_raster *raster;
     struct bk_triangle *triangles;
-    struct bake_job job;
+    struct bake_scene job;
     uint32_t patch_side, patch_count, samples;
 };
 

@@ -38,7 +38,7 @@ enum { KERNELS = sizeof kernels / sizeof *kernels };
 static void set_grid(const struct arguments *a, bk_grid *grid)
 {
     bk_grid_from_params(grid, &a->params);
-    grid->tiles = ARRAY(const bk_ulong, a->arrays[0]);
+    grid->root_tiles = ARRAY(const bk_ulong, a->arrays[0]);
     grid->uppers = ARRAY(const bk_ulong, a->arrays[1]);
     grid->lowers = ARRAY(const bk_ulong, a->arrays[2]);
     grid->leaves = ARRAY(const bk_ulong, a->arrays[3]);

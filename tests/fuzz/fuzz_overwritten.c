@@ -22,10 +22,10 @@ static void load(const struct bake_grid_arrays *grid, char *arrays[BAKE_GRID_ARR
         uint64_t at = 0;
         arrays[i] = malloc(array->bytes + !array->bytes);
         require(arrays[i] != NULL, "no memory for an array");
-        for (int k = 0; k < BAKE_ARRAY_PARTS; k++) {
-            if (array->parts[k].bytes > 0)
-                memcpy(arrays[i] + at, array->parts[k].data, array->parts[k].bytes);
-            at += array->parts[k].bytes;
+        for (int k = 0; k < BAKE_ARRAY_RANGES; k++) {
+            if (array->ranges[k].bytes > 0)
+                memcpy(arrays[i] + at, array->ranges[k].data, array->ranges[k].bytes);
+            at += array->ranges[k].bytes;
         }
         require(at == array->bytes, "an array that was not filled");
     }
@@ -35,7 +35,7 @@ static struct bk_grid grid_of(char *const a[BAKE_GRID_ARRAYS], const struct bk_p
 {
     struct bk_grid grid;
     bk_grid_from_params(&grid, params);
-    grid.tiles = (const void *)a[BAKE_TILES];
+    grid.root_tiles = (const void *)a[BAKE_ROOT_TILES];
     grid.uppers = (const void *)a[BAKE_UPPERS];
     grid.lowers = (const void *)a[BAKE_LOWERS];
     grid.leaves = (const void *)a[BAKE_LEAVES];
@@ -48,7 +48,7 @@ static struct bk_grid grid_of(char *const a[BAKE_GRID_ARRAYS], const struct bk_p
 }
 
 /* Traces a patch whose rays run through the whole grid, as a device with its own memory does. */
-static void trace_arrays(const struct bake_job *job)
+static void trace_arrays(const struct bake_scene *job)
 {
     const struct bk_patch patch = {.width = SIDE, .height = SIDE};
     const uint32_t samples[TEXELS] = {0};
@@ -80,15 +80,15 @@ static void aim(const struct fmt_nvdb_grid *grid, struct bk_triangle *triangle)
 static void trace_device(const struct fmt_nvdb_grid *grid)
 {
     struct bk_triangle triangle;
-    struct bake_job job = {.grid = grid,
-                           .triangles = &triangle,
-                           .triangle_count = 1,
-                           .patch_texels = TEXELS,
-                           .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
-                                      .samples = 1,
-                                      .unit = 1,
-                                      .front = 1e4f,
-                                      .back = 1e4f}};
+    struct bake_scene job = {.grid = grid,
+                             .triangles = &triangle,
+                             .triangle_count = 1,
+                             .patch_texels = TEXELS,
+                             .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
+                                        .samples = 1,
+                                        .unit = 1,
+                                        .front = 1e4f,
+                                        .back = 1e4f}};
     aim(grid, &triangle);
     bake_params_from_grid(grid, &job.params);
     trace_arrays(&job);

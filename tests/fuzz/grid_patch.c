@@ -224,7 +224,7 @@ static void move_grid(struct grid_template *t, uint32_t axis, uint32_t uppers)
     struct nvdb_upper *upper = nodes(t, NVDB_UPPERS);
     struct nvdb_lower *lower = nodes(t, NVDB_LOWERS);
     struct nvdb_leaf *leaf = nodes(t, NVDB_LEAVES);
-    struct nvdb_tile *tile = (void *)(t->bytes + t->layout.tiles);
+    struct nvdb_root_tile *tile = (void *)(t->bytes + t->layout.root_tiles);
     struct nvdb_root *root = &head(t)->root;
     touch_bounds(t);
     fmt_nvdb_bbox_clear(root->bbox_min, root->bbox_max);

@@ -140,7 +140,7 @@ static void make_samples(uint32_t samples[SIDE * SIDE])
         samples[i] = i % SIDE == i / SIDE ? BK_NO_TRIANGLE : i % SIDE > i / SIDE;
 }
 
-static int trace_patch(struct bsq_ctx *ctx, const struct bake_job *job, const uint32_t *samples,
+static int trace_patch(struct bsq_ctx *ctx, const struct bake_scene *job, const uint32_t *samples,
                        float *texels)
 {
     const struct bk_patch patch = {.width = SIDE, .height = SIDE};
@@ -158,7 +158,7 @@ int grid_use_look_around(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     struct bk_triangle triangles[2];
     uint32_t samples[SIDE * SIDE];
     static float texels[SIDE * SIDE * (BK_SUMS + 3 + 8)];
-    struct bake_job job = {
+    struct bake_scene job = {
         .grid = grid,
         .triangles = triangles,
         .triangle_count = 2,
@@ -196,15 +196,15 @@ int grid_use_trace_patch(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     const uint32_t words[2] = {1, grid->channel_words < 3 ? (grid->channel_words - 1) << 2 | 1
                                                           : (grid->channel_words - 3) << 2 | 3};
     struct fmt_nvdb_grid used = *grid;
-    struct bake_job job = {.grid = &used,
-                           .triangles = triangles,
-                           .triangle_count = 2,
-                           .patch_texels = SIDE * SIDE,
-                           .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
-                                      .samples = 1,
-                                      .unit = 1,
-                                      .front = 50,
-                                      .back = 1e7f}};
+    struct bake_scene job = {.grid = &used,
+                             .triangles = triangles,
+                             .triangle_count = 2,
+                             .patch_texels = SIDE * SIDE,
+                             .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
+                                        .samples = 1,
+                                        .unit = 1,
+                                        .front = 50,
+                                        .back = 1e7f}};
     job.params.maps |= transfers << BK_TRANSFER_SHIFT;
     used.transfers = words;
     used.transfer_count = transfers;

@@ -1,5 +1,5 @@
 /* off.c - the example of formats/mesh/README.md: reads OFF files as an ordered stream of parsed
- * parts.
+ * blocks.
  *
  * A file is "OFF", a line with its numbers of vertices, faces and edges, a line "x y z" for each
  * vertex, and a line "3 i j k" for each face, of any size. What follows in a line is not read.
@@ -72,47 +72,47 @@ static int off_begin(struct stream_source *source)
 static uint64_t off_find_lines(struct stream_slot *slot, uint64_t have, bool at_file_end)
 {
     const struct off_file *file = slot->source->data;
-    struct stream_part *part = &slot->part;
-    const uint64_t most = file->vertices + file->faces - part->first_item;
+    struct stream_block *block = &slot->block;
+    const uint64_t most = file->vertices + file->faces - block->first_item;
     const char *from = (const char *)slot->bytes, *end = from + have, *p = from;
-    part->items = part->lines = 0;
+    block->items = block->lines = 0;
     memset(slot->bytes + have, '\n', STREAM_PADDING);
-    while (part->items < most && p < end) {
+    while (block->items < most && p < end) {
         const bool empty = off_is_empty(p);
         uint64_t lines = 0;
         const char *next = off_next_line(p, &lines);
         if (next >= end && !at_file_end)
             break;
-        part->items += !empty;
-        part->lines += lines;
+        block->items += !empty;
+        block->lines += lines;
         p = next < end ? next : end;
     }
-    return part->items > 0 ? (uint64_t)(p - from) : 0;
+    return block->items > 0 ? (uint64_t)(p - from) : 0;
 }
 
-static int off_cut(const struct stream_part *before, struct stream_slot *slot)
+static int off_cut(const struct stream_block *before, struct stream_slot *slot)
 {
     const struct off_file *file = slot->source->data;
-    struct stream_part *part = &slot->part;
+    struct stream_block *block = &slot->block;
     const bool at_start = before->end == 0;
     uint64_t size;
-    part->offset = at_start ? file->header_bytes : before->end;
-    part->first_line = at_start ? file->header_lines + 1 : before->first_line + before->lines;
-    part->first_item = before->first_item + before->items; /* vertices, then faces */
+    block->offset = at_start ? file->header_bytes : before->end;
+    block->first_line = at_start ? file->header_lines + 1 : before->first_line + before->lines;
+    block->first_item = before->first_item + before->items; /* vertices, then faces */
     int status = 0;
-    if (part->first_item < file->vertices + file->faces) {
-        status = fmt_stream_cut_text(slot, STREAM_PART_BYTES, off_find_lines);
+    if (block->first_item < file->vertices + file->faces) {
+        status = fmt_stream_cut_text(slot, STREAM_BLOCK_BYTES, off_find_lines);
         if (status != 0)
             return status;
-        fmt_stream_fail(slot, part->first_line,
+        fmt_stream_fail(slot, block->first_line,
                         "truncated: the file ends after %" PRIu64 " of %" PRIu64 " elements",
-                        part->first_item, file->vertices + file->faces);
+                        block->first_item, file->vertices + file->faces);
     }
-    /* What follows the last element becomes a part without elements. */
+    /* What follows the last element becomes a block without elements. */
     BSQ_TRY(fmt_input_reach(slot->source->input, UINT64_MAX, &size));
-    part->items = part->size = 0;
-    part->end = size;
-    status = slot->error[0] || part->offset < size;
+    block->items = block->size = 0;
+    block->end = size;
+    status = slot->error[0] || block->offset < size;
 done:
     return status;
 }
@@ -163,20 +163,20 @@ static const char *off_parse_face(struct stream_slot *slot, uint64_t line, const
 static int off_parse(struct stream_slot *slot)
 {
     const struct off_file *file = slot->source->data;
-    const struct stream_part *part = &slot->part;
+    const struct stream_block *block = &slot->block;
     struct mesh_arrays *a = &slot->arrays;
-    uint64_t line = part->first_line, item = part->first_item;
+    uint64_t line = block->first_line, item = block->first_item;
     int status;
-    if (part->items == 0)
+    if (block->items == 0)
         return 0;
     BSQ_TRY(fmt_stream_load(slot));
     /* A number takes two bytes at least. */
-    BSQ_TRY(FMT_RESERVE(slot->ctx, part->items, a->positions, a->position_capacity));
-    BSQ_TRY(FMT_RESERVE(slot->ctx, part->items, a->face_sizes, a->size_capacity));
-    BSQ_TRY(FMT_RESERVE(slot->ctx, part->size / 2 + 1, a->corners[FMT_MESH_VERTEX],
+    BSQ_TRY(FMT_RESERVE(slot->ctx, block->items, a->positions, a->position_capacity));
+    BSQ_TRY(FMT_RESERVE(slot->ctx, block->items, a->face_sizes, a->size_capacity));
+    BSQ_TRY(FMT_RESERVE(slot->ctx, block->size / 2 + 1, a->corners[FMT_MESH_VERTEX],
                         a->corner_capacity[FMT_MESH_VERTEX]));
-    memset(slot->bytes + part->size, '\n', STREAM_PADDING);
-    const char *p = (const char *)slot->bytes, *end = p + part->size;
+    memset(slot->bytes + block->size, '\n', STREAM_PADDING);
+    const char *p = (const char *)slot->bytes, *end = p + block->size;
     while (p < end && a->face_count <= slot->last_face) {
         if (!off_is_empty(p)) {
             p = item++ < file->vertices ? off_parse_vertex(slot, line, p)

@@ -341,7 +341,7 @@ static struct bake_failure cuda_open_context(struct cuda *cuda)
     return BAKE_NO_FAILURE;
 }
 
-static int cuda_open(struct bake_gpu *gpu, uint32_t number, const struct bake_job *job)
+static int cuda_open(struct bake_gpu *gpu, uint32_t number, const struct bake_scene *scene)
 {
     struct cuda *cuda = (struct cuda *)gpu;
     BSQ_PASS(cuda_open_driver(gpu->ctx, number, &cuda->api, &cuda->device));
@@ -350,7 +350,7 @@ static int cuda_open(struct bake_gpu *gpu, uint32_t number, const struct bake_jo
     gpu->buffer_bytes = gpu->array_bytes = UINT64_MAX;
     BSQ_PASS(bake_gpu_fail(gpu, cuda_open_context(cuda)));
     BSQ_PASS(load_kernel(cuda, BAKE_PATCH));
-    if (bake_ray_count(&job->params) > 0)
+    if (bake_ray_count(&scene->params) > 0)
         BSQ_PASS(load_kernel(cuda, BAKE_LOOK));
     return bake_gpu_fail(gpu, free_memory(cuda, &gpu->memory_bytes));
 }

@@ -57,9 +57,9 @@ static uint64_t worker_bytes(const struct bake_gpu *gpu)
             point_bytes(gpu) + found_bytes(gpu));
 }
 
-static uint64_t triangle_bytes(const struct bake_job *job)
+static uint64_t triangle_bytes(const struct bake_scene *scene)
 {
-    return job->triangle_count * (uint64_t)sizeof *job->triangles;
+    return scene->triangle_count * (uint64_t)sizeof *scene->triangles;
 }
 
 /* Reserves bytes of the host's budget until the device is closed. */
@@ -71,14 +71,14 @@ static int gpu_reserve(struct bake_gpu *gpu, const char *what, uint64_t bytes)
     return status;
 }
 
-static int share_memory(struct bake_gpu *gpu, const struct bake_job *job)
+static int share_memory(struct bake_gpu *gpu, const struct bake_scene *scene)
 {
     const uint64_t samples = sample_bytes(gpu, gpu->patch_texels);
-    const uint64_t triangles = triangle_bytes(job);
+    const uint64_t triangles = triangle_bytes(scene);
     const uint64_t fixed = worker_bytes(gpu) + triangles;
     uint64_t limit = gpu->memory_bytes;
-    if (job->device_memory && job->device_memory < limit)
-        limit = job->device_memory;
+    if (scene->device_memory && scene->device_memory < limit)
+        limit = scene->device_memory;
     if (triangles > gpu->buffer_bytes || samples > gpu->buffer_bytes)
         return bsq_fail(gpu->ctx, BSQ_ENODEVICE,
                         "%s: the low-poly mesh's triangles take %" PRIu64
@@ -183,12 +183,12 @@ static int finish_upload(struct bake_gpu *gpu)
     return note_failure(gpu, gpu->driver->finish(gpu, upload_stream(gpu)));
 }
 
-static int send_triangles(struct bake_gpu *gpu, const struct bake_job *job)
+static int send_triangles(struct bake_gpu *gpu, const struct bake_scene *scene)
 {
     int status;
-    BSQ_TRY(note_failure(gpu, gpu->driver->allocate(gpu, triangle_bytes(job), &gpu->triangles)));
+    BSQ_TRY(note_failure(gpu, gpu->driver->allocate(gpu, triangle_bytes(scene), &gpu->triangles)));
     begin_upload(gpu, gpu->triangles);
-    BSQ_TRY(gpu_put(gpu, job->triangles, triangle_bytes(job)));
+    BSQ_TRY(gpu_put(gpu, scene->triangles, triangle_bytes(scene)));
     BSQ_TRY(gpu_flush(gpu));
     status = finish_upload(gpu);
 done:
@@ -211,8 +211,8 @@ static int gpu_load_grid(struct bake_gpu *gpu, const struct bake_grid_arrays *gr
         const struct bake_grid_array *array = &grid->arrays[i];
         *what = array->name;
         begin_upload(gpu, gpu->arrays[i]);
-        for (int k = 0; k < BAKE_ARRAY_PARTS; k++)
-            BSQ_PASS(gpu_put(gpu, array->parts[k].data, array->parts[k].bytes));
+        for (int k = 0; k < BAKE_ARRAY_RANGES; k++)
+            BSQ_PASS(gpu_put(gpu, array->ranges[k].data, array->ranges[k].bytes));
         BSQ_PASS(gpu_flush(gpu));
     }
     return finish_upload(gpu);
@@ -246,14 +246,14 @@ static int check_space(const struct bake_gpu *gpu, const struct bake_grid_arrays
     return 0;
 }
 
-static int gpu_load(struct bake_gpu *gpu, const struct bake_job *job)
+static int gpu_load(struct bake_gpu *gpu, const struct bake_scene *scene)
 {
     const double started = bsq_seconds_now();
     struct bake_grid_arrays grid;
     char why[BAKE_WHY_BYTES];
     const char *what;
     int status;
-    bake_list_arrays(job, &grid);
+    bake_list_arrays(scene, &grid);
     BSQ_TRY(check_space(gpu, &grid));
     gpu->upload_failure = BAKE_NO_FAILURE;
     status = gpu_load_grid(gpu, &grid, &what);
@@ -459,21 +459,21 @@ static int create_streams(struct bake_gpu *gpu)
 }
 
 /* Prepares an opened device for a job and uploads the low-poly mesh. */
-static int gpu_prepare(struct bake_gpu *gpu, const struct bake_job *job)
+static int gpu_prepare(struct bake_gpu *gpu, const struct bake_scene *scene)
 {
-    gpu->params = job->params;
-    gpu->patch_texels = job->patch_texels;
+    gpu->params = scene->params;
+    gpu->patch_texels = scene->patch_texels;
     gpu->worker_count = bsq_threads(gpu->ctx);
     BSQ_PASS(create_streams(gpu));
-    BSQ_PASS(share_memory(gpu, job));
+    BSQ_PASS(share_memory(gpu, scene));
     struct bake_stream *upload = upload_stream(gpu);
     upload->open = true;
     BSQ_PASS(bake_gpu_fail(gpu, gpu->driver->open_stream(gpu, upload)));
-    return send_triangles(gpu, job);
+    return send_triangles(gpu, scene);
 }
 
 int bake_gpu_open(struct bsq_ctx *ctx, const struct bake_driver *driver, uint32_t number,
-                  const struct bake_job *job, struct bake_gpu **out)
+                  const struct bake_scene *scene, struct bake_gpu **out)
 {
     struct bake_gpu *gpu;
     int status;
@@ -482,11 +482,11 @@ int bake_gpu_open(struct bsq_ctx *ctx, const struct bake_driver *driver, uint32_
     gpu->ctx = ctx;
     gpu->driver = driver;
     pthread_mutex_init(&gpu->lock, NULL);
-    status = driver->open(gpu, number, job);
+    status = driver->open(gpu, number, scene);
     if (status == 0)
-        status = gpu_prepare(gpu, job);
+        status = gpu_prepare(gpu, scene);
     if (status == 0)
-        status = gpu_load(gpu, job);
+        status = gpu_load(gpu, scene);
     if (status < 0)
         bake_gpu_close(gpu);
     else

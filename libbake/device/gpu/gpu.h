@@ -9,7 +9,7 @@
 #include <pthread.h>
 
 #include "libbake/device/driver/driver.h"
-#include "libbake/device/job/job.h"
+#include "libbake/device/scene/scene.h"
 
 /* ---- launch batches: launches.c ---- */
 
@@ -142,7 +142,7 @@ struct bake_driver {
     /* Opens device `number`, which is in the list, for a job, and sets the names, shares_memory,
      * memory_bytes and buffer_bytes. close() follows, also after a failure, and releases what is
      * the API's. Errors: BSQ_ENODEVICE, BSQ_ENOMEM. */
-    int (*open)(struct bake_gpu *gpu, uint32_t number, const struct bake_job *job);
+    int (*open)(struct bake_gpu *gpu, uint32_t number, const struct bake_scene *scene);
     void (*close)(struct bake_gpu *gpu);
     uint64_t gpu_bytes, stream_bytes; /* of the API's structures, zero at first */
 
@@ -209,7 +209,7 @@ struct bake_gpu {
  * BSQ_RETRY if the grid does not fit; BSQ_ENODEVICE if not even the rest fits or a call fails;
  * BSQ_ENOMEM, BSQ_EINTR. */
 int bake_gpu_open(struct bsq_ctx *ctx, const struct bake_driver *driver, uint32_t number,
-                  const struct bake_job *job, struct bake_gpu **out);
+                  const struct bake_scene *scene, struct bake_gpu **out);
 void bake_gpu_close(struct bake_gpu *gpu);
 
 /* Does what bake_device_trace() does. Describes a failure in `why` (BAKE_WHY_BYTES) instead of

@@ -138,7 +138,7 @@ struct bake_device_info bake_native_describe(const struct bsq_ctx *ctx)
     return info;
 }
 
-int bake_native_open(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_native **out)
+int bake_native_open(struct bsq_ctx *ctx, const struct bake_scene *scene, struct bake_native **out)
 {
     struct bake_native *native;
     int status = BSQ_CALLOC(ctx, "native device", 1, &native);
@@ -147,13 +147,13 @@ int bake_native_open(struct bsq_ctx *ctx, const struct bake_job *job, struct bak
     if (status < 0)
         return status;
     native->ctx = ctx;
-    bake_kernel_grid(job->grid, &job->params, &native->grid);
-    native->params = job->params;
-    native->triangles = job->triangles;
+    bake_kernel_grid(scene->grid, &scene->params, &native->grid);
+    native->params = scene->params;
+    native->triangles = scene->triangles;
     native->patch = BSQ_SIMD_PICK(bsq_simd_best(), bake_native_patch);
-    native->tree = job->tree;
-    if (job->tree)
-        status = bake_native_workers_create(ctx, &job->params, &native->workers);
+    native->tree = scene->tree;
+    if (scene->tree)
+        status = bake_native_workers_create(ctx, &scene->params, &native->workers);
     if (status < 0)
         bake_native_close(native);
     else

@@ -3,13 +3,13 @@
 #ifndef BAKE_DEVICE_NATIVE_NATIVE_H
 #define BAKE_DEVICE_NATIVE_NATIVE_H
 
-#include "libbake/device/job/job.h"
+#include "libbake/device/scene/scene.h"
 #include "libbake/ray/ray.h"
 
 struct bake_native;
 
 /* Prepares to trace a job's patches. Errors: BSQ_ENOMEM. */
-int bake_native_open(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_native **out);
+int bake_native_open(struct bsq_ctx *ctx, const struct bake_scene *scene, struct bake_native **out);
 void bake_native_close(struct bake_native *native); /* NULL is allowed */
 
 /* Does what bake_device_trace() does, on the calling thread. Errors: BSQ_EINTR. */

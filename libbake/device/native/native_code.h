@@ -3,7 +3,7 @@
 #define BAKE_DEVICE_NATIVE_NATIVE_CODE_H
 
 #include "base/simd/simd.h"
-#include "libbake/device/job/job.h"
+#include "libbake/device/scene/scene.h"
 #include "libbake/ray/ray.h"
 
 /* Side in texels of the squares that a patch is traced in: what they share of the grid stays in the

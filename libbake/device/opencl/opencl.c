@@ -260,10 +260,10 @@ static struct bake_failure opencl_open_context(struct opencl *cl)
     return (struct bake_failure){"clCreateContext", code};
 }
 
-static int opencl_open(struct bake_gpu *gpu, uint32_t number, const struct bake_job *job)
+static int opencl_open(struct bake_gpu *gpu, uint32_t number, const struct bake_scene *scene)
 {
     struct opencl *cl = (struct opencl *)gpu;
-    (void)job;
+    (void)scene;
     if (!bake_opencl_load(&cl->api) || !bake_opencl_device(&cl->api, number, &cl->device))
         return bsq_fail(gpu->ctx, BSQ_ENODEVICE, "opencl:%u: the device is gone", (unsigned)number);
     snprintf(gpu->device_name, sizeof gpu->device_name, "%s", cl->device.name);

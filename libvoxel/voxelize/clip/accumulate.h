@@ -43,7 +43,7 @@ struct vox_accumulation {
 /* Adds the fragments inside the window, in the order of the chunk's triangles. *counted: increased
  * by the triangles that this window counts; each triangle is counted by one window of the grid.
  * Returns 0, VOX_REGION_FULL or a negative status. */
-typedef int vox_accumulate_chunk_fn(const struct vox_accumulation *job, uint64_t *counted);
+typedef int vox_accumulate_chunk_fn(const struct vox_accumulation *chunk_sums, uint64_t *counted);
 BSQ_SIMD_DECLARE(vox_accumulate_chunk_fn, vox_accumulate_chunk);
 
 #endif

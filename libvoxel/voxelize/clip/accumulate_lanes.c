@@ -25,24 +25,25 @@ static_assert(sizeof(struct vox_fragment_block) / sizeof(double) < BLOCK_RUN_FAC
 
 /* Where fragments come from and go to, and which rows they have. */
 struct source {
-    const struct vox_accumulation *job;
+    const struct vox_accumulation *chunk_sums;
     const struct vox_fragment_block *block;
     struct vox_accumulator *sums;
     bool smooth, marked, curved, has_color, has_ids, has_channels;
 };
 
-LANES_INLINE struct source source_of(const struct vox_accumulation *job)
+LANES_INLINE struct source source_of(const struct vox_accumulation *chunk_sums)
 {
-    bool smooth = job->chunk->normals != NULL;
-    return (struct source){.job = job,
-                           .block = job->block,
-                           .sums = job->sums,
+    bool smooth = chunk_sums->chunk->normals != NULL;
+    return (struct source){.chunk_sums = chunk_sums,
+                           .block = chunk_sums->block,
+                           .sums = chunk_sums->sums,
                            .smooth = smooth,
-                           .marked = smooth && (job->chunk->coarse || job->chunk->inconsistent),
-                           .curved = smooth && job->chunk->coarse,
-                           .has_color = job->sums->colors != NULL,
-                           .has_ids = job->sums->votes != NULL,
-                           .has_channels = job->sums->channels != NULL};
+                           .marked = smooth &&
+                                     (chunk_sums->chunk->coarse || chunk_sums->chunk->inconsistent),
+                           .curved = smooth && chunk_sums->chunk->coarse,
+                           .has_color = chunk_sums->sums->colors != NULL,
+                           .has_ids = chunk_sums->sums->votes != NULL,
+                           .has_channels = chunk_sums->sums->channels != NULL};
 }
 
 /* What a fragment has from textures. */
@@ -88,16 +89,17 @@ LANES_INLINE uint32_t id_of(const struct source *from, uint32_t triangle,
 {
     const double *moment = fragment->moment;
     const double weights[3] = {fragment->area - moment[0] - moment[1], moment[0], moment[1]};
-    return fmt_shade_id(&from->job->shading->scan, &from->job->chunk->source, triangle, weights) |
+    return fmt_shade_id(&from->chunk_sums->shading->scan, &from->chunk_sums->chunk->source,
+                        triangle, weights) |
            0xff000000u;
 }
 
 /* Returns the channels of a triangle without textures. */
 LANES_INLINE const double *channels_of(const struct source *from, uint32_t triangle)
 {
-    const struct vox_shading *shading = from->job->shading;
+    const struct vox_shading *shading = from->chunk_sums->shading;
     const uint32_t material =
-        fmt_shading_material(&shading->scan, &from->job->chunk->source, triangle);
+        fmt_shading_material(&shading->scan, &from->chunk_sums->chunk->source, triangle);
     return shading->channels + (uint64_t)material * shading->channel_words;
 }
 
@@ -162,9 +164,9 @@ LANES_INLINE int add_runs(const struct source *from, uint32_t count)
 
 /* Adds the first `count` fragments of the run. Constant flags let the compiler make a loop for most
  * scans without the code for the others. */
-LANES_INLINE int add_fragments(const struct vox_accumulation *job, uint32_t count)
+LANES_INLINE int add_fragments(const struct vox_accumulation *chunk_sums, uint32_t count)
 {
-    struct source from = source_of(job);
+    struct source from = source_of(chunk_sums);
     if (from.has_ids || from.has_channels)
         return add_runs(&from, count);
     from.has_ids = from.has_channels = false;
@@ -232,7 +234,7 @@ LANES_INLINE struct cell_bounds bounds_of(const struct vox_box *box)
 struct single {
     struct queue queue;
     struct shade_triangles triangles;
-    const struct vox_accumulation *job;
+    const struct vox_accumulation *chunk_sums;
     const int32_t *low;
     double area, uv[3][2], uv_edge[2][2];
     struct source from;
@@ -248,7 +250,7 @@ static int add_waiting(struct single *s)
 {
     const double *channels = s->channels ? s->from.sums->fragment_channels : NULL;
     int status = vox_accumulator_reserve(s->from.sums);
-    put_queue(&s->triangles, &s->queue, s->job->block);
+    put_queue(&s->triangles, &s->queue, s->chunk_sums->block);
     for (uint32_t i = 0; i < s->queue.count && status == 0; i++) {
         const struct textured textured = {
             .rgb = s->color ? s->rgb[i] : NULL,
@@ -256,9 +258,9 @@ static int add_waiting(struct single *s)
             .texel = s->normal_map ? s->texels[i] : NULL,
             .uv_edge = (const double(*)[2])s->uv_edge,
         };
-        status =
-            add_fragment(&s->from, &s->job->block->facts[s->place],
-                         &s->job->block->fragments[BLOCK_FRAGMENTS + i], s->cells[i], &textured);
+        status = add_fragment(&s->from, &s->chunk_sums->block->facts[s->place],
+                              &s->chunk_sums->block->fragments[BLOCK_FRAGMENTS + i], s->cells[i],
+                              &textured);
     }
     s->queue.count = 0;
     return status;
@@ -278,7 +280,7 @@ static int sample_textures(struct single *s, const struct vox_fragment *fragment
         footprint.width[k] = (float)fragment->uv_extent[k];
     }
     int status = vox_shade_textures(
-        &s->job->shading->scan, &footprint, s->color ? s->rgb[i] : NULL,
+        &s->chunk_sums->shading->scan, &footprint, s->color ? s->rgb[i] : NULL,
         s->channels ? sums->fragment_channels + (uint64_t)i * sums->channel_words : NULL,
         s->normal_map ? s->texels[i] : NULL);
     for (int k = 0; k < 3 && s->tinted; k++)
@@ -290,7 +292,7 @@ static int sample_textures(struct single *s, const struct vox_fragment *fragment
 static int take_fragment(void *arg, const struct vox_fragment *fragment)
 {
     struct single *s = arg;
-    const int32_t *origin = s->job->region->lo;
+    const int32_t *origin = s->chunk_sums->region->lo;
     uint32_t i = s->queue.count++, at[3];
     double area = s->area * fragment->fraction;
     area = area > VOX_NO_AREA ? area : VOX_NO_AREA;
@@ -334,10 +336,11 @@ static bool clip_find_textures(struct single *s, const struct vox_shading *shadi
     return any;
 }
 
-static __attribute__((noinline)) int add_alone(const struct vox_accumulation *job, uint32_t place)
+static __attribute__((noinline)) int add_alone(const struct vox_accumulation *chunk_sums,
+                                               uint32_t place)
 {
-    const struct vox_chunk *chunk = job->chunk;
-    const struct block_triangle *triangle = &job->block->triangles[place];
+    const struct vox_chunk *chunk = chunk_sums->chunk;
+    const struct block_triangle *triangle = &chunk_sums->block->triangles[place];
     const uint32_t *v = chunk->source.triangles[triangle->number];
     struct cell_bounds bounds = cells_of(chunk, triangle->number);
     struct vox_box cells;
@@ -350,8 +353,8 @@ static __attribute__((noinline)) int add_alone(const struct vox_accumulation *jo
     struct single s;
     doubles lowest[3];
     uint16_t places[LANE_COUNT];
-    s.job = job;
-    s.from = source_of(job);
+    s.chunk_sums = chunk_sums;
+    s.from = source_of(chunk_sums);
     s.place = place;
     s.low = triangle->low;
     s.queue.count = 0;
@@ -360,13 +363,13 @@ static __attribute__((noinline)) int add_alone(const struct vox_accumulation *jo
         s.cells[l][3] = 0.0;
         s.rgb[l][3] = 1.0;
     }
-    load_triangles(job, places, &s.triangles, lowest);
+    load_triangles(chunk_sums, places, &s.triangles, lowest);
     s.area = s.triangles.area[0];
-    if (clip_find_textures(&s, job->shading, &chunk->source, triangle->number)) {
+    if (clip_find_textures(&s, chunk_sums->shading, &chunk->source, triangle->number)) {
         set_uv(&s, chunk, v);
         clip.uv = (const double(*)[2])s.uv;
     }
-    int status = vox_clip(&clip, job->region, job->window, take_fragment, &s);
+    int status = vox_clip(&clip, chunk_sums->region, chunk_sums->window, take_fragment, &s);
     return status == 0 && s.queue.count > 0 ? add_waiting(&s) : status;
 }
 
@@ -381,9 +384,9 @@ static bool contains(const struct vox_box *box, const int32_t cell[3])
 }
 
 /* Adds the block's triangles, and empties the block. */
-static int clip_add_block(const struct vox_accumulation *job)
+static int clip_add_block(const struct vox_accumulation *chunk_sums)
 {
-    struct vox_fragment_block *block = job->block;
+    struct vox_fragment_block *block = chunk_sums->block;
     uint32_t counts[KIND_COUNT] = {0}, begin = 0;
     uint32_t starts[KIND_COUNT];
     int status = 0;
@@ -397,20 +400,20 @@ static int clip_add_block(const struct vox_accumulation *job)
         block->order[starts[block->triangles[i].kind]++] = (uint16_t)i;
     for (uint32_t kind = 0; kind < KIND_LARGE; kind++)
         if (counts[kind] > 0)
-            divide_kind(job, block->order + starts[kind] - counts[kind], counts[kind], kind);
+            divide_kind(chunk_sums, block->order + starts[kind] - counts[kind], counts[kind], kind);
     uint32_t count = 0;
     for (uint32_t place = 0; place < block->triangle_count && status == 0; place++) {
         if (!block->triangles[place].alone) {
             count = append_fragments(block, place, count);
             continue;
         }
-        status = add_fragments(job, count);
+        status = add_fragments(chunk_sums, count);
         count = 0;
         if (status == 0)
-            status = add_alone(job, place);
+            status = add_alone(chunk_sums, place);
     }
     if (status == 0)
-        status = add_fragments(job, count);
+        status = add_fragments(chunk_sums, count);
     block->triangle_count = 0;
     block->fragment_count = 0;
     return status;
@@ -430,35 +433,35 @@ LANES_INLINE void prefetch_triangle(const struct vox_chunk *chunk, uint32_t tria
 enum { PREFETCH_AHEAD = 12 };
 
 /* Returns whether something of a triangle comes from textures, so that it is clipped alone. */
-LANES_INLINE bool is_textured(const struct vox_accumulation *job, uint32_t triangle)
+LANES_INLINE bool is_textured(const struct vox_accumulation *chunk_sums, uint32_t triangle)
 {
-    const struct vox_shading *shading = job->shading;
-    return shading->textured &&
-           shading->textured[fmt_shading_material(&shading->scan, &job->chunk->source, triangle)];
+    const struct vox_shading *shading = chunk_sums->shading;
+    return shading->textured && shading->textured[fmt_shading_material(
+                                    &shading->scan, &chunk_sums->chunk->source, triangle)];
 }
 
 /* Puts the triangles from begin to end that meet the window into the block. capacity: fragments
  * that the block can still take. */
-static int add_group(const struct vox_accumulation *job, uint32_t begin, uint32_t end,
+static int add_group(const struct vox_accumulation *chunk_sums, uint32_t begin, uint32_t end,
                      uint32_t *capacity)
 {
-    struct vox_fragment_block *block = job->block;
-    const struct cell_bounds window = bounds_of(job->window);
+    struct vox_fragment_block *block = chunk_sums->block;
+    const struct cell_bounds window = bounds_of(chunk_sums->window);
     int status = 0;
     for (uint32_t i = begin; i < end && status == 0; i++) {
-        if (i + PREFETCH_AHEAD < job->chunk->source.triangle_count)
-            prefetch_triangle(job->chunk, i + PREFETCH_AHEAD);
-        struct cell_bounds cells = cells_of(job->chunk, i);
+        if (i + PREFETCH_AHEAD < chunk_sums->chunk->source.triangle_count)
+            prefetch_triangle(chunk_sums->chunk, i + PREFETCH_AHEAD);
+        struct cell_bounds cells = cells_of(chunk_sums->chunk, i);
         if (four_any((cells.low > window.high) | (cells.high < window.low)))
             continue;
         four_ints planes = cells.high - cells.low;
         uint32_t fragments = 0, kind = KIND_LARGE;
-        if (!four_any(planes > DIVIDE_MAX_PLANES) && !is_textured(job, i)) {
+        if (!four_any(planes > DIVIDE_MAX_PLANES) && !is_textured(chunk_sums, i)) {
             kind = (uint32_t)(planes[0] << 4 | planes[1] << 2 | planes[2]);
             fragments = (uint32_t)((planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1));
         }
         if (fragments > *capacity || block->triangle_count == BLOCK_TRIANGLES) {
-            status = clip_add_block(job);
+            status = clip_add_block(chunk_sums);
             *capacity = BLOCK_FRAGMENTS;
         }
         *capacity -= fragments;
@@ -471,21 +474,22 @@ static int add_group(const struct vox_accumulation *job, uint32_t begin, uint32_
     return status;
 }
 
-int BSQ_SIMD_NAME(vox_accumulate_chunk)(const struct vox_accumulation *job, uint64_t *counted)
+int BSQ_SIMD_NAME(vox_accumulate_chunk)(const struct vox_accumulation *chunk_sums,
+                                        uint64_t *counted)
 {
-    const struct vox_chunk *chunk = job->chunk;
+    const struct vox_chunk *chunk = chunk_sums->chunk;
     uint32_t count = chunk->source.triangle_count, capacity = BLOCK_FRAGMENTS;
     int status = 0;
-    job->block->triangle_count = job->block->fragment_count = 0;
+    chunk_sums->block->triangle_count = chunk_sums->block->fragment_count = 0;
     for (uint32_t g = 0; g < chunk->group_count && status == 0; g++) {
         const struct vox_box *bounds = &chunk->groups[g];
-        if (!vox_boxes_meet(bounds, job->window))
+        if (!vox_boxes_meet(bounds, chunk_sums->window))
             continue;
         uint32_t begin = g * VOX_GROUP_TRIANGLES,
                  end = vox_group_end(begin, count, VOX_GROUP_TRIANGLES);
-        status = add_group(job, begin, end, &capacity);
-        if (contains(job->window, bounds->lo))
+        status = add_group(chunk_sums, begin, end, &capacity);
+        if (contains(chunk_sums->window, bounds->lo))
             *counted += end - begin;
     }
-    return status == 0 ? clip_add_block(job) : status;
+    return status == 0 ? clip_add_block(chunk_sums) : status;
 }

@@ -49,17 +49,17 @@ choose_sides(const struct vox_chunk *chunk, const struct block_triangle *const t
 
 /* Loads the triangles with these places in the block, and writes the rows that their fragments
  * share. lowest: the lowest voxel of each. */
-LANES_INLINE void load_triangles(const struct vox_accumulation *job,
+LANES_INLINE void load_triangles(const struct vox_accumulation *chunk_sums,
                                  const uint16_t places[LANE_COUNT], struct shade_triangles *t,
                                  doubles lowest[3])
 {
-    const struct vox_chunk *chunk = job->chunk;
+    const struct vox_chunk *chunk = chunk_sums->chunk;
     const struct block_triangle *triangle[LANE_COUNT];
     struct block_facts *facts[LANE_COUNT];
     const int32_t *low[LANE_COUNT];
     for (int l = 0; l < LANE_COUNT; l++) {
-        triangle[l] = &job->block->triangles[places[l]];
-        facts[l] = &job->block->facts[places[l]];
+        triangle[l] = &chunk_sums->block->triangles[places[l]];
+        facts[l] = &chunk_sums->block->facts[places[l]];
         low[l] = triangle[l]->low;
     }
     lanes_gather_integers(low, lowest);
@@ -69,7 +69,7 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *job,
     t->marked = t->curved || chunk->inconsistent;
     t->noise_share = chunk->noise_share;
     t->facet = inconsistent_lanes(chunk, triangle);
-    t->has_color = job->sums->colors != NULL;
+    t->has_color = chunk_sums->sums->colors != NULL;
     for (int i = 0; i < 3; i++) {
         const double *points[LANE_COUNT];
         const float *normals[LANE_COUNT];
@@ -93,7 +93,8 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *job,
     }
     for (int l = 0; t->has_color && l < LANE_COUNT; l++) {
         double rgb[3][3];
-        t->colored[l] = vox_shade_corners(job->shading, &chunk->source, triangle[l]->number, rgb);
+        t->colored[l] =
+            vox_shade_corners(chunk_sums->shading, &chunk->source, triangle[l]->number, rgb);
         for (int i = 0; i < 3; i++)
             for (int k = 0; k < 3; k++)
                 t->rgb[i][k][l] = rgb[i][k];
@@ -116,14 +117,15 @@ struct cell_numbers {
 
 enum { NUMBER_CELL = 32, NUMBER_LANE = 40, NUMBER_PLACE = 48 };
 
-LANES_INLINE void number_cells(const struct vox_accumulation *job, doubles low, int axis,
+LANES_INLINE void number_cells(const struct vox_accumulation *chunk_sums, doubles low, int axis,
                                int planes, struct cell_numbers *numbers)
 {
     const int shift = 14 - 4 * axis, inner = 6 - 3 * axis, cell = NUMBER_CELL + 6 - 2 * axis;
-    const doubles lo = lanes_all(job->window->lo[axis]), hi = lanes_all(job->window->hi[axis]);
+    const doubles lo = lanes_all(chunk_sums->window->lo[axis]),
+                  hi = lanes_all(chunk_sums->window->hi[axis]);
     for (int i = 0; i <= planes; i++) {
         doubles at = low + (double)i;
-        lane_ints bits = lanes_integer_bits(at - (double)job->region->lo[axis]);
+        lane_ints bits = lanes_integer_bits(at - (double)chunk_sums->region->lo[axis]);
         bits = (bits & 0x78) << shift | (bits & 7) << inner | (long long)i << cell;
         numbers->of[i] = lanes_set_bits(lanes_less(at, lo) | lanes_less(hi, at), bits,
                                         lanes_all_bits(UINT64_MAX));
@@ -236,11 +238,11 @@ LANES_INLINE lane_ints queue_divided(const struct shade_triangles *t, const int 
 
 /* Divides the first `count` of these triangles. All are of the kind with these numbers of
  * planes. */
-LANES_INLINE void divide_batch(const struct vox_accumulation *job,
+LANES_INLINE void divide_batch(const struct vox_accumulation *chunk_sums,
                                const uint16_t places[LANE_COUNT], uint32_t count,
                                const int planes[3])
 {
-    struct vox_fragment_block *block = job->block;
+    struct vox_fragment_block *block = chunk_sums->block;
     struct divide_fragment fragments[DIVIDE_MAX_CELLS];
     struct shade_triangles t;
     struct cell_numbers numbers[3];
@@ -254,9 +256,9 @@ LANES_INLINE void divide_batch(const struct vox_accumulation *job,
                                                      << NUMBER_PLACE;
         where[l] = used ? where[l] : -1;
     }
-    load_triangles(job, places, &t, lowest);
+    load_triangles(chunk_sums, places, &t, lowest);
     for (int a = 0; a < 3; a++)
-        number_cells(job, lowest[a], a, planes[a], &numbers[a]);
+        number_cells(chunk_sums, lowest[a], a, planes[a], &numbers[a]);
     lane_mask doubtful = divide_small((const doubles(*)[3])t.p, planes, fragments);
     lane_ints after = queue_divided(&t, planes, fragments, numbers,
                                     lanes_load_ints(where) | t.class_bits, &queue, &doubtful);
@@ -273,7 +275,7 @@ LANES_INLINE void divide_batch(const struct vox_accumulation *job,
 }
 
 /* Divides triangles of the kind with these numbers of planes. */
-LANES_INLINE void divide_with(const struct vox_accumulation *job, const uint16_t *order,
+LANES_INLINE void divide_with(const struct vox_accumulation *chunk_sums, const uint16_t *order,
                               uint32_t count, const int planes[3])
 {
     for (uint32_t done = 0; done < count; done += LANE_COUNT) {
@@ -281,27 +283,27 @@ LANES_INLINE void divide_with(const struct vox_accumulation *job, const uint16_t
         uint16_t padded[LANE_COUNT];
         for (uint32_t l = 0; left < LANE_COUNT && l < LANE_COUNT; l++)
             padded[l] = order[done + (l < left ? l : 0)];
-        divide_batch(job, left < LANE_COUNT ? padded : order + done,
+        divide_batch(chunk_sums, left < LANE_COUNT ? padded : order + done,
                      left < LANE_COUNT ? left : LANE_COUNT, planes);
     }
 }
 
 /* Divides triangles that lie in one voxel: a quarter to a half if a scan is fine for its grid.
  * Compiled without the code for planes. */
-static __attribute__((noinline)) void divide_whole(const struct vox_accumulation *job,
+static __attribute__((noinline)) void divide_whole(const struct vox_accumulation *chunk_sums,
                                                    const uint16_t *order, uint32_t count)
 {
-    divide_with(job, order, count, (const int[3]){0, 0, 0});
+    divide_with(chunk_sums, order, count, (const int[3]){0, 0, 0});
 }
 
-static void divide_kind(const struct vox_accumulation *job, const uint16_t *order, uint32_t count,
-                        uint32_t kind)
+static void divide_kind(const struct vox_accumulation *chunk_sums, const uint16_t *order,
+                        uint32_t count, uint32_t kind)
 {
     const int planes[3] = {(int)(kind >> 4), (int)(kind >> 2 & 3), (int)(kind & 3)};
     if (kind == 0)
-        divide_whole(job, order, count);
+        divide_whole(chunk_sums, order, count);
     else
-        divide_with(job, order, count, planes);
+        divide_with(chunk_sums, order, count, planes);
 }
 
 #endif

@@ -6,9 +6,9 @@
  * nothing however large the grid is. */
 #include "libvoxel/voxelize/plan/plan.h"
 
-/* A tile has 32^3 regions. Tile numbers are below 2^18 in magnitude. As 19-bit two's complement
+/* A cube has 32^3 regions. Cube numbers are below 2^18 in magnitude. As 19-bit two's complement
  * they sort like the unsigned keys of the grid's root: first 0 and up, then the negative ones. */
-enum { TILE_LOG2 = 5, TILE_BITS = 19 };
+enum { CUBE_LOG2 = 5, CUBE_BITS = 19 };
 
 struct entry {
     vox_region_key key;
@@ -28,25 +28,25 @@ struct vox_schedule {
 
 static vox_region_key make_key(const int32_t region[3])
 {
-    const uint32_t tile_mask = (1u << TILE_BITS) - 1, in_tile = (1u << TILE_LOG2) - 1;
+    const uint32_t cube_mask = (1u << CUBE_BITS) - 1, in_cube = (1u << CUBE_LOG2) - 1;
     vox_region_key key = 0;
     for (int a = 0; a < 3; a++)
-        key = key << TILE_BITS | ((uint32_t)(region[a] >> TILE_LOG2) & tile_mask);
+        key = key << CUBE_BITS | ((uint32_t)(region[a] >> CUBE_LOG2) & cube_mask);
     for (int a = 0; a < 3; a++)
-        key = key << TILE_LOG2 | ((uint32_t)region[a] & in_tile);
+        key = key << CUBE_LOG2 | ((uint32_t)region[a] & in_cube);
     return key;
 }
 
 static void split_key(vox_region_key key, int32_t region[3])
 {
-    uint32_t places = (uint32_t)key & ((1u << 3 * TILE_LOG2) - 1);
-    uint64_t tiles = (uint64_t)(key >> 3 * TILE_LOG2);
+    uint32_t places = (uint32_t)key & ((1u << 3 * CUBE_LOG2) - 1);
+    uint64_t cubes = (uint64_t)(key >> 3 * CUBE_LOG2);
     for (int a = 2; a >= 0; a--) {
-        uint32_t bits = (uint32_t)tiles & ((1u << TILE_BITS) - 1);
-        int32_t tile = (int32_t)bits - (bits >> (TILE_BITS - 1) ? 1 << TILE_BITS : 0);
-        region[a] = tile * (1 << TILE_LOG2) + (int32_t)(places & ((1u << TILE_LOG2) - 1));
-        tiles >>= TILE_BITS;
-        places >>= TILE_LOG2;
+        uint32_t bits = (uint32_t)cubes & ((1u << CUBE_BITS) - 1);
+        int32_t cube = (int32_t)bits - (bits >> (CUBE_BITS - 1) ? 1 << CUBE_BITS : 0);
+        region[a] = cube * (1 << CUBE_LOG2) + (int32_t)(places & ((1u << CUBE_LOG2) - 1));
+        cubes >>= CUBE_BITS;
+        places >>= CUBE_LOG2;
     }
 }
 
@@ -72,9 +72,9 @@ static int32_t region_of(int32_t voxel)
     return voxel >> VOX_REGION_LOG2;
 }
 
-static int32_t schedule_tile_of(int32_t region)
+static int32_t schedule_cube_of(int32_t region)
 {
-    return region >> TILE_LOG2;
+    return region >> CUBE_LOG2;
 }
 
 static int32_t max32(int32_t a, int32_t b)
@@ -82,38 +82,38 @@ static int32_t max32(int32_t a, int32_t b)
     return a > b ? a : b;
 }
 
-static int32_t first_tile(int32_t lo, int32_t hi)
+static int32_t first_cube(int32_t lo, int32_t hi)
 {
     return lo < 0 && hi >= 0 ? 0 : lo;
 }
 
-/* Advances to the tile after `tile` among lo to hi, in the order of the keys. Returns false after
+/* Advances to the cube after `cube` among lo to hi, in the order of the keys. Returns false after
  * the last one. */
-static bool next_tile(int32_t lo, int32_t hi, int32_t *tile)
+static bool next_cube(int32_t lo, int32_t hi, int32_t *cube)
 {
-    if (*tile == hi && hi >= 0 && lo < 0) {
-        *tile = lo;
+    if (*cube == hi && hi >= 0 && lo < 0) {
+        *cube = lo;
         return true;
     }
-    if (*tile == hi || *tile == -1)
+    if (*cube == hi || *cube == -1)
         return false;
-    ++*tile;
+    ++*cube;
     return true;
 }
 
-/* Returns the first region of the box in a tile, on one axis. */
-static int32_t enter_tile(const struct vox_box *box, int axis, int32_t tile)
+/* Returns the first region of the box in a cube, on one axis. */
+static int32_t enter_cube(const struct vox_box *box, int axis, int32_t cube)
 {
-    return max32(region_of(box->lo[axis]), tile * (1 << TILE_LOG2));
+    return max32(region_of(box->lo[axis]), cube * (1 << CUBE_LOG2));
 }
 
 vox_region_key vox_region_first(const struct vox_box *box)
 {
     int32_t region[3];
     for (int a = 0; a < 3; a++)
-        region[a] = enter_tile(box, a,
-                               first_tile(schedule_tile_of(region_of(box->lo[a])),
-                                          schedule_tile_of(region_of(box->hi[a]))));
+        region[a] = enter_cube(box, a,
+                               first_cube(schedule_cube_of(region_of(box->lo[a])),
+                                          schedule_cube_of(region_of(box->hi[a]))));
     return make_key(region);
 }
 
@@ -122,22 +122,22 @@ static vox_region_key region_after(const struct vox_box *box, vox_region_key key
     int32_t region[3];
     split_key(key, region);
     for (int a = 2; a >= 0; a--) {
-        int32_t tile = schedule_tile_of(region[a]);
-        if (region[a] < region_of(box->hi[a]) && schedule_tile_of(region[a] + 1) == tile) {
+        int32_t cube = schedule_cube_of(region[a]);
+        if (region[a] < region_of(box->hi[a]) && schedule_cube_of(region[a] + 1) == cube) {
             region[a]++;
             return make_key(region);
         }
-        region[a] = enter_tile(box, a, tile);
+        region[a] = enter_cube(box, a, cube);
     }
     for (int a = 2; a >= 0; a--) {
-        int32_t lo = schedule_tile_of(region_of(box->lo[a])),
-                hi = schedule_tile_of(region_of(box->hi[a]));
-        int32_t tile = schedule_tile_of(region[a]);
-        if (next_tile(lo, hi, &tile)) {
-            region[a] = enter_tile(box, a, tile);
+        int32_t lo = schedule_cube_of(region_of(box->lo[a])),
+                hi = schedule_cube_of(region_of(box->hi[a]));
+        int32_t cube = schedule_cube_of(region[a]);
+        if (next_cube(lo, hi, &cube)) {
+            region[a] = enter_cube(box, a, cube);
             return make_key(region);
         }
-        region[a] = enter_tile(box, a, first_tile(lo, hi));
+        region[a] = enter_cube(box, a, first_cube(lo, hi));
     }
     return VOX_REGION_KEY_NEVER;
 }

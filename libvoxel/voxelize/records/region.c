@@ -251,29 +251,29 @@ static void region_append_records(const struct vox_accumulator *a, const uint32_
 
 /* Finds the touched voxels of a brick, and prefetches their sums, which lie in the order in which
  * voxels were first touched. */
-static void find_voxels(const struct vox_accumulator *a, const uint32_t *slots, uint64_t mask[8])
+static void find_voxels(const struct vox_accumulator *a, const uint32_t *cells, uint64_t mask[8])
 {
     for (uint32_t word = 0; word < 8; word++) {
         mask[word] = 0;
         for (uint32_t i = 0; i < 64; i += 16)
-            mask[word] |= (uint64_t)bits_of_sixteen(slots + 64 * word + i) << i;
+            mask[word] |= (uint64_t)bits_of_sixteen(cells + 64 * word + i) << i;
         for (uint64_t bits = mask[word]; bits; bits &= bits - 1)
             __builtin_prefetch(
-                &a->sums[slots[64 * word + (uint32_t)__builtin_ctzll(bits)] & VOX_LINK_NUMBER]);
+                &a->sums[cells[64 * word + (uint32_t)__builtin_ctzll(bits)] & VOX_LINK_NUMBER]);
     }
 }
 
 static void finish_brick(const struct vox_accumulator *a, uint32_t brick,
                          const struct vox_color_tables *tables, struct vox_leaves *leaves)
 {
-    const uint32_t *slots = a->bricks[a->brick_of[brick]];
+    const uint32_t *cells = a->bricks[a->brick_of[brick]];
     uint64_t *mask = leaves->masks[leaves->leaf_count];
     struct brick_records chosen;
     chosen.count[0] = chosen.count[1] = 0;
-    find_voxels(a, slots, mask);
+    find_voxels(a, cells, mask);
     for (uint32_t word = 0; word < 8; word++)
         for (uint64_t bits = mask[word]; bits; bits &= bits - 1)
-            choose_records(a, slots[64 * word + (uint32_t)__builtin_ctzll(bits)] & VOX_LINK_NUMBER,
+            choose_records(a, cells[64 * word + (uint32_t)__builtin_ctzll(bits)] & VOX_LINK_NUMBER,
                            &chosen);
 
     struct fmt_nvdb_record *records = leaves->sides[0].records + leaves->sides[0].count;

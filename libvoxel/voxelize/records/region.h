@@ -1,7 +1,7 @@
 /* region.h - sums the fragments of one region, and turns the sums into records of the grid.
  *
  * Takes fragments (clip/). Gives the leaves of a region in the layout of fmt_nvdb_append(). A
- * region is 128^3 voxels. Only touched voxels take memory: 16^3 brick slots, 8^3 voxel slots for
+ * region is 128^3 voxels. Only touched voxels take memory: 16^3 brick cells, 8^3 voxel cells for
  * each brick, one sum for each voxel and class of directions in it. Sums are double, so a million
  * small fragments in one voxel lose nothing. Not thread-safe: each worker has one accumulator and
  * reuses it for every region.
@@ -234,12 +234,12 @@ LANES_INLINE bool vox_accumulator_sum(struct vox_accumulator *a, uint32_t class_
     uint32_t *brick = &a->brick_of[voxel / VOX_BRICK_VOXELS];
     if (*brick == 0 && !vox_accumulator_open_brick(a, brick))
         return false;
-    uint32_t *slot = &a->bricks[*brick][voxel % VOX_BRICK_VOXELS], link = *slot;
+    uint32_t *cell = &a->bricks[*brick][voxel % VOX_BRICK_VOXELS], link = *cell;
     const uint32_t next = a->sum_count + 1,
                    class_bits = class_and_voxel & ~(uint32_t)VOX_LINK_NUMBER;
     const uint32_t fresh = (uint32_t)(((uint64_t)link - 1) >> 32); /* no branch: all ones or 0 */
     link |= (next | class_bits) & fresh;
-    *slot = link;
+    *cell = link;
     a->sum_count -= fresh;
     *number = link & VOX_LINK_NUMBER;
     if (__builtin_expect((link ^ class_and_voxel) > VOX_LINK_NUMBER, 0)) {

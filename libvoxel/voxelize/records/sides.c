@@ -87,12 +87,13 @@ static void move_normal(struct two_sides *sides, const double normal[3], uint32_
 }
 
 /* Sums the normals of both parts. Bit i of `part`: part of sum i. */
-static void sum_sides(const struct voxel_sums *voxel, uint32_t part, struct two_sides *sides)
+static void sum_sides(const struct voxel_sums *voxel, uint32_t sides_of_normals,
+                      struct two_sides *sides)
 {
     *sides = (struct two_sides){0};
     for (uint32_t i = 0; i < voxel->count; i++)
         for (int k = 0; k < 3; k++)
-            sides->normal[part >> i & 1][k] += voxel->normals[i][k];
+            sides->normal[sides_of_normals >> i & 1][k] += voxel->normals[i][k];
 }
 
 /* Returns the best way to divide the sums in two. The last sum is in part 0. Each way differs from
@@ -105,13 +106,13 @@ static uint32_t divide_best(const struct voxel_sums *voxel)
     assert(voxel->count > 0);
     sum_sides(voxel, 0, &sides);
     for (uint32_t i = 1; i < UINT32_C(1) << (voxel->count - 1); i++) {
-        const uint32_t part = i ^ i >> 1, moved = (uint32_t)__builtin_ctz(i);
-        move_normal(&sides, voxel->normals[moved], part >> moved & 1);
+        const uint32_t sides_of_normals = i ^ i >> 1, moved = (uint32_t)__builtin_ctz(i);
+        move_normal(&sides, voxel->normals[moved], sides_of_normals >> moved & 1);
         const double length = sqrt(vox_dot(sides.normal[0], sides.normal[0])) +
                               sqrt(vox_dot(sides.normal[1], sides.normal[1]));
         if (length > longest * (1.0 + equally_good)) {
             longest = length;
-            best = part;
+            best = sides_of_normals;
         }
     }
     return best;
@@ -132,9 +133,9 @@ static uint32_t second_side(const struct voxel_sums *voxel)
     struct two_sides sides;
     if (is_one_side(voxel))
         return 0;
-    const uint32_t part = divide_best(voxel);
-    sum_sides(voxel, part, &sides);
-    return face_away(&sides) ? part : 0;
+    const uint32_t sides_of_normals = divide_best(voxel);
+    sum_sides(voxel, sides_of_normals, &sides);
+    return face_away(&sides) ? sides_of_normals : 0;
 }
 
 /* Adds a sum to another one. */

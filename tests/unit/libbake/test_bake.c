@@ -109,7 +109,7 @@ TEST(test_a_device_that_the_library_chooses)
     memset(given, true, count);
     options.device = NULL;
     assert_int_equal(bsq_ctx_create(NULL, &ctx), 0);
-    assert_int_equal(bake_look(ctx, &options, given, NULL, NULL), 0);
+    assert_int_equal(bake_inspect(ctx, &options, given, NULL, NULL), 0);
     bsq_ctx_destroy(ctx);
 }
 

@@ -564,7 +564,7 @@ def bake(high: Any, low: Any, maps: Sequence[str] = (), *, size: int | tuple[int
                 o.on_rows, o.rows_user = lib.on_rows, job.handle
             _set_options(job, o, options)
             _choose_maps(job, o, maps)
-            job.run(lib.bake_look, o, ffi.NULL, ffi.NULL, ffi.NULL)
+            job.run(lib.bake_inspect, o, ffi.NULL, ffi.NULL, ffi.NULL)
             report = _new_report("struct bake_report")
             job.run(lib.bake_run, o, report)
             result = _plain(report)

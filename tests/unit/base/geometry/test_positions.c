@@ -24,9 +24,9 @@ TEST(equal_positions_are_found)
 {
     unsigned seed = 5;
     static float known[KNOWN][3], other[3];
-    uint32_t *slots = calloc(bsq_positions_slots(KNOWN), sizeof *slots);
+    uint32_t *slots = calloc(bsq_positions_cells(KNOWN), sizeof *slots);
     assert_non_null(slots);
-    struct bsq_positions table = {slots, bsq_positions_slots(KNOWN) - 1, (const float(*)[3])known};
+    struct bsq_positions table = {slots, bsq_positions_cells(KNOWN) - 1, (const float(*)[3])known};
     for (uint32_t i = 0; i < KNOWN; i++) {
         random_position(&seed, known[i]);
         uint32_t *slot = bsq_positions_find(&table, known[i]);

@@ -72,7 +72,7 @@ static void compare_totals(const struct fmt_nvdb_grid *grid, const struct scene 
     assert_int_equal(grid->leaf_count, totals->leaves);
     assert_int_equal(grid->lower_count, totals->lowers);
     assert_int_equal(grid->upper_count, totals->uppers);
-    assert_int_equal(grid->tile_count, totals->uppers);
+    assert_int_equal(grid->root_tile_count, totals->uppers);
     for (int axis = 0; axis < 3; axis++) {
         int32_t low = INT32_MAX, high = INT32_MIN;
         for (uint64_t i = 0; i < scene->count; i++) {

@@ -44,13 +44,13 @@ static const struct fmt_image_attribute decoding = {"bisque:range", "3.5"};
 
 static void write_image(struct bsq_ctx *ctx, uint32_t width, uint32_t height,
                         enum fmt_sample_type type, const float *samples, uint32_t batch,
-                        uint32_t tile_side)
+                        uint32_t exr_tile_side)
 {
     struct fmt_image_options options = {.width = width,
                                         .height = height,
                                         .channel_count = 3,
                                         .type = type,
-                                        .tile_side = tile_side,
+                                        .exr_tile_side = exr_tile_side,
                                         .attributes = attributes,
                                         .attribute_count = 2};
     struct fmt_image_writer *writer;
@@ -434,7 +434,7 @@ static void write_part(struct bsq_ctx *ctx, uint32_t height, const float *sample
                                               .full_width = 100,
                                               .full_height = 60,
                                               .type = FMT_FLOAT,
-                                              .tile_side = PART_SIDE};
+                                              .exr_tile_side = PART_SIDE};
     struct fmt_image_writer *writer;
     assert_int_equal(fmt_image_create(ctx, &fmt_exr_format, path, &options, &writer), 0);
     assert_int_equal(fmt_image_write_rows(writer, samples, height), 0);

@@ -186,8 +186,8 @@ TEST(test_batch_borders)
 {
     static const char tail[] =
         "v 1 2 3\r\nf 1 \\\r\n1 \\\n1\nusemtl m \\\nn\n#\\\nf 1 1 1\rg x\\\r\nv 4 5 6";
-    char *text = malloc(OBJ_PART_BYTES + 1024);
-    size_t border = OBJ_PART_BYTES;
+    char *text = malloc(OBJ_BLOCK_BYTES + 1024);
+    size_t border = OBJ_BLOCK_BYTES;
     for (size_t shift = 0; shift <= sizeof tail + 1; shift++) {
         size_t pad = border - shift;
         memset(text, ' ', pad);

@@ -76,15 +76,15 @@ int traced_sheet_setup(void **state)
             bool upper = i * HEIGHT * SAMPLES + j * row < row * HEIGHT * SAMPLES;
             f->samples[j * row + i] = i < 3 ? BK_NO_TRIANGLE : upper ? 0 : 1;
         }
-    f->job = (struct bake_job){.grid = &f->grid,
-                               .triangles = f->triangles,
-                               .triangle_count = 2,
-                               .patch_texels = TEXELS,
-                               .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
-                                          .samples = SAMPLES,
-                                          .unit = 1,
-                                          .front = 5,
-                                          .back = 5}};
+    f->job = (struct bake_scene){.grid = &f->grid,
+                                 .triangles = f->triangles,
+                                 .triangle_count = 2,
+                                 .patch_texels = TEXELS,
+                                 .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
+                                            .samples = SAMPLES,
+                                            .unit = 1,
+                                            .front = 5,
+                                            .back = 5}};
     bake_params_from_grid(&f->grid, &f->job.params);
     *state = f;
     return 0;
@@ -123,7 +123,7 @@ struct sheet_texel *traced_sheet_trace_dense(struct fixture *f, const char *name
         .x = WIDTH / 2, .y = HEIGHT / 2, .width = DENSE_WIDTH, .height = DENSE_HEIGHT};
     struct sheet_texel *texels = calloc(DENSE_TEXELS, sizeof *texels);
     uint32_t *samples = calloc(DENSE_TEXELS, n * n * sizeof *samples);
-    struct bake_job job = f->job;
+    struct bake_scene job = f->job;
     struct bake_device_times times;
     struct bake_device *device;
 

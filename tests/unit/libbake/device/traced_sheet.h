@@ -18,7 +18,7 @@ struct fixture {
     struct fmt_nvdb_grid grid;
     struct bk_triangle triangles[2];
     uint32_t *samples;
-    struct bake_job job;
+    struct bake_scene job;
 };
 
 /* Set up and tear down a struct fixture in *state for cmocka. Tearing down checks that all memory

@@ -1,7 +1,7 @@
 /* test_leaf_tree.c - the tree of leaves contains all voxels, and rays through it find what
  * rays from voxel to voxel find, also if they go through edges and corners of voxels. */
 #include "base/context.h"
-#include "libbake/device/job/job.h"
+#include "libbake/device/scene/scene.h"
 #include "libbake/grid_tree/tree_rays.h"
 #include "tests/unit/libbake/analytic_grid.h"
 #include "tests/unit/libbake/walked_ray.h"
@@ -225,7 +225,7 @@ TEST(test_no_voxels)
     open_fixture(&f, grid);
     bake_tree_free(f.ctx, &f.tree);
     const uint32_t leaves = f.file.leaf_count;
-    f.file.leaf_count = f.file.lower_count = f.file.tile_count = 0;
+    f.file.leaf_count = f.file.lower_count = f.file.root_tile_count = 0;
     assert_int_equal(bake_tree_build(f.ctx, &f.file, &f.tree), 0);
     const bk_viewpoint point = point_at(bk_v3(0, 0, 0), bk_v3(0, 0, 1), 1, 7);
     const bk_rays kind = {.open = 1, .count = RAYS, .samples = 1, .sine2 = 1, .limit = 40};

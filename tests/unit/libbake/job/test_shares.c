@@ -7,7 +7,7 @@ enum { PARTS = 7, TILES = 2 };
 
 /* Makes a job of two tiles without triangles. */
 static void begin(struct bsq_ctx *ctx, struct bake_options *options, struct bake_tile *tiles,
-                  struct bake_work *job)
+                  struct bake_job *job)
 {
     bake_defaults(options);
     memset(tiles, 0, TILES * sizeof *tiles);
@@ -15,10 +15,10 @@ static void begin(struct bsq_ctx *ctx, struct bake_options *options, struct bake
     tiles[0].options.height = 90;
     tiles[1].options.width = 64;
     tiles[1].options.height = 300;
-    *job = (struct bake_work){.ctx = ctx, .options = options, .tiles = tiles, .udim.count = TILES};
+    *job = (struct bake_job){.ctx = ctx, .options = options, .tiles = tiles, .udim.count = TILES};
 }
 
-static void end(struct bake_work *job)
+static void end(struct bake_job *job)
 {
     for (uint32_t t = 0; t < TILES; t++) {
         bsq_free(job->ctx, job->tiles[t].shares);
@@ -26,7 +26,7 @@ static void end(struct bake_work *job)
     }
 }
 
-static uint32_t side_of(struct bake_work *job)
+static uint32_t side_of(struct bake_job *job)
 {
     assert_int_equal(bake_cut_blocks(job), 0);
     end(job);
@@ -37,7 +37,7 @@ CONTEXT_TEST(test_sides_suit_the_parts, 2, 0)
 {
     struct bake_options options;
     struct bake_tile tiles[TILES];
-    struct bake_work job;
+    struct bake_job job;
     begin(ctx, &options, tiles, &job);
     options.parts = PARTS;
     assert_int_equal(side_of(&job), 16);
@@ -55,7 +55,7 @@ CONTEXT_TEST(test_parts_are_balanced, 2, 0)
     static struct bake_share_block blocks[512];
     struct bake_options options;
     struct bake_tile tiles[TILES];
-    struct bake_work job;
+    struct bake_job job;
     uint64_t count = 0, all = 0, most = 0, listed = 0;
     begin(ctx, &options, tiles, &job);
     options.parts = PARTS;
@@ -85,11 +85,11 @@ CONTEXT_TEST(test_parts_are_balanced, 2, 0)
             of->count = 0;
             assert_int_equal(bake_take_share(&job, &tiles[t]), 0);
             for (uint64_t b = 0; b < (uint64_t)of->columns * of->rows; b++)
-                if (of->slots[b] != BAKE_NO_SLOT)
-                    assert_int_equal(of->slots[b], next++);
+                if (of->places[b] != BAKE_NO_PLACE)
+                    assert_int_equal(of->places[b], next++);
             assert_int_equal(next, of->count);
             listed += next;
-            bsq_free(ctx, (void *)(uintptr_t)of->slots);
+            bsq_free(ctx, (void *)(uintptr_t)of->places);
         }
     }
     assert_int_equal(all, job.texels);

@@ -1,6 +1,6 @@
 /* test_kernel.c - compares the kernel's parts to naive versions of them. */
 #include "base/geometry/vec.h"
-#include "libbake/device/job/job.h"
+#include "libbake/device/scene/scene.h"
 #include "libbake/kernel/bk_sample.h"
 #include "libbake/kernel/bk_srgb.h"
 #include "tests/unit/test.h"

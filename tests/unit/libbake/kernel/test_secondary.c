@@ -1,6 +1,6 @@
 /* test_secondary.c - open shares, bent directions and thickness against formulas. */
 #include "libbake/bake.h"
-#include "libbake/device/job/job.h"
+#include "libbake/device/scene/scene.h"
 #include "libbake/kernel/bk_sample.h"
 #include "libbake/grid_tree/leaf_tree.h"
 #include "tests/unit/test.h"

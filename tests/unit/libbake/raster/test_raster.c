@@ -479,7 +479,7 @@ FIXTURE_TEST(test_blocks_divide_a_map)
     for (uint32_t part = 0; part < 2; part++) {
         uint32_t slots[COLUMNS * ROWS], used = 0;
         for (uint32_t b = 0; b < COLUMNS * ROWS; b++)
-            slots[b] = b % 2 == part ? used++ : BAKE_NO_SLOT;
+            slots[b] = b % 2 == part ? used++ : BAKE_NO_PLACE;
         const struct bake_blocks blocks = {SIDE, COLUMNS, ROWS, used, slots};
         const struct bake_raster_options options = {
             WIDTH, HEIGHT, 1, PATCH, 0, f->mesh.triangle_count, &blocks, {NULL, 0}};

@@ -497,7 +497,7 @@ static bool has_kernel(void)
 {
     struct bsq_ctx *ctx = create_context(0);
     struct bake_gpu *gpu;
-    const struct bake_job nothing = {0};
+    const struct bake_scene nothing = {0};
     bool has;
 
     setenv("FAKE_CUDA_DEVICES", "0", 1);

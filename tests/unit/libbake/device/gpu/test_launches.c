@@ -1,6 +1,6 @@
 /* test_launches.c - batches have all samples of a patch; unions of time spans. */
 #include "libbake/device/gpu/gpu.h"
-#include "libbake/device/job/job.h"
+#include "libbake/device/scene/scene.h"
 #include "tests/unit/test.h"
 
 enum { WIDTH = 40, HEIGHT = 24 };

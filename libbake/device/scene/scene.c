@@ -1,8 +1,8 @@
-/* job.c - prepares a grid file for the kernel, and finds its nodes.
+/* scene.c - prepares a grid file for the kernel, and finds its nodes.
  *
  * The file may change while it is read, so every number of a node is bounded here, as in the
  * kernel: children with wrong numbers count as missing. */
-#include "libbake/device/job/job.h"
+#include "libbake/device/scene/scene.h"
 
 #include <assert.h>
 #include <string.h>
@@ -26,7 +26,7 @@ int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     return 0;
 }
 
-static void device_job_split(uint64_t value, bk_uint words[2])
+static void scene_split(uint64_t value, bk_uint words[2])
 {
     words[0] = (bk_uint)value;
     words[1] = (bk_uint)(value >> 32);
@@ -47,27 +47,27 @@ void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *p
         params->index_min[k] = grid->index_min[k];
         params->index_max[k] = grid->index_max[k];
     }
-    params->tile_count = grid->tile_count;
+    params->root_tile_count = grid->root_tile_count;
     params->upper_count = grid->upper_count;
     params->lower_count = grid->lower_count;
     params->leaf_count = grid->leaf_count;
     params->second_base_low = (bk_uint)(grid->voxel_count + 1);
     params->second_base_high = (bk_uint)((grid->voxel_count + 1) >> 32);
     params->second_count = (bk_uint)(grid->record_count - 1 - grid->voxel_count);
-    device_job_split((uint64_t)(grid->uppers - grid->root), params->upper_offset);
-    device_job_split((uint64_t)(grid->lowers - grid->uppers), params->lower_offset);
-    device_job_split((uint64_t)(grid->leaves - grid->lowers), params->leaf_offset);
+    scene_split((uint64_t)(grid->uppers - grid->root), params->upper_offset);
+    scene_split((uint64_t)(grid->lowers - grid->uppers), params->lower_offset);
+    scene_split((uint64_t)(grid->leaves - grid->lowers), params->leaf_offset);
     params->flags &= ~(bk_uint)(BK_HAS_COLOR | BK_HAS_IDS);
     if (grid->colors)
         params->flags |= BK_HAS_COLOR;
     if (grid->ids)
         params->flags |= BK_HAS_IDS;
-    device_job_split(grid->ids && grid->colors ? (uint64_t)(grid->ids - grid->colors) : 0,
-                     params->id_offset);
-    device_job_split(grid->channels ? (uint64_t)((const uint32_t *)(const void *)grid->channels -
-                                                 first_color(grid))
-                                    : 0,
-                     params->channel_offset);
+    scene_split(grid->ids && grid->colors ? (uint64_t)(grid->ids - grid->colors) : 0,
+                params->id_offset);
+    scene_split(grid->channels
+                    ? (uint64_t)((const uint32_t *)(const void *)grid->channels - first_color(grid))
+                    : 0,
+                params->channel_offset);
     params->channel_words = grid->channels ? grid->channel_words : 0;
 }
 
@@ -75,7 +75,7 @@ void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *
                       struct bk_grid *out)
 {
     bk_grid_from_params(out, params);
-    out->tiles = (const bk_ulong *)(const void *)grid->tiles;
+    out->root_tiles = (const bk_ulong *)(const void *)grid->root_tiles;
     out->uppers = (const bk_ulong *)(const void *)grid->uppers;
     out->lowers = (const bk_ulong *)(const void *)grid->lowers;
     out->leaves = (const bk_ulong *)(const void *)grid->leaves;
@@ -92,20 +92,22 @@ static void set_offsets(const struct fmt_nvdb_grid *grid, struct bk_params *para
 {
     const uint64_t colors = grid->colors ? grid->record_count : 0;
     const uint64_t ids = grid->ids ? grid->record_count : 0;
-    device_job_split(grid->ids ? colors : 0, params->id_offset);
-    device_job_split(colors + ids, params->channel_offset);
+    scene_split(grid->ids ? colors : 0, params->id_offset);
+    scene_split(colors + ids, params->channel_offset);
 }
 
-void bake_list_arrays(const struct bake_job *job, struct bake_grid_arrays *out)
+void bake_list_arrays(const struct bake_scene *scene, struct bake_grid_arrays *out)
 {
-    const struct fmt_nvdb_grid *g = job->grid;
-    const struct bake_tree tree = job->tree ? *job->tree : (struct bake_tree){0};
+    const struct fmt_nvdb_grid *g = scene->grid;
+    const struct bake_tree tree = scene->tree ? *scene->tree : (struct bake_tree){0};
     const uint64_t leaves = tree.nodes ? g->leaf_count : 0;
     const uint64_t records = g->record_count * sizeof(uint32_t);
     const uint64_t transfers = g->transfer_count * sizeof *g->transfers;
     const bool colors = g->colors || g->ids || g->channels || transfers > 0;
     const struct bake_grid_array arrays[BAKE_GRID_ARRAYS] = {
-        [BAKE_TILES] = {"root tiles", {{g->tiles, 8ull * g->tile_count * BK_TILE_WORDS}}, 0},
+        [BAKE_ROOT_TILES] = {"root tiles",
+                             {{g->root_tiles, 8ull * g->root_tile_count * BK_ROOT_TILE_WORDS}},
+                             0},
         [BAKE_UPPERS] = {"upper nodes", {{g->uppers, 8ull * g->upper_count * BK_UPPER_WORDS}}, 0},
         [BAKE_LOWERS] = {"lower nodes", {{g->lowers, 8ull * g->lower_count * BK_LOWER_WORDS}}, 0},
         [BAKE_LEAVES] = {"leaves", {{g->leaves, 8ull * g->leaf_count * BK_LEAF_WORDS}}, 0},
@@ -121,13 +123,13 @@ void bake_list_arrays(const struct bake_job *job, struct bake_grid_arrays *out)
         [BAKE_SECONDS] = {"second records", {{g->seconds, (g->voxel_count / 32 + 1) * 8}}, 0},
         [BAKE_NODES] = {"tree of leaves", {{tree.nodes, tree.count * sizeof *tree.nodes}}, 0},
         [BAKE_BLOCKS] = {"blocks of leaves", {{tree.blocks, leaves * sizeof *tree.blocks}}, 0}};
-    *out = (struct bake_grid_arrays){.params = job->params};
+    *out = (struct bake_grid_arrays){.params = scene->params};
     memcpy(out->arrays, arrays, sizeof arrays);
     set_offsets(g, &out->params);
     for (int i = 0; i < BAKE_GRID_ARRAYS; i++) {
         struct bake_grid_array *array = &out->arrays[i];
-        for (int k = 0; k < BAKE_ARRAY_PARTS; k++)
-            array->bytes += array->parts[k].bytes;
+        for (int k = 0; k < BAKE_ARRAY_RANGES; k++)
+            array->bytes += array->ranges[k].bytes;
         out->bytes += array->bytes;
         out->largest = array->bytes > out->largest ? array->bytes : out->largest;
     }

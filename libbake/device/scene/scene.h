@@ -1,10 +1,10 @@
-/* job.h - what a device traces: the grid, the low-poly mesh's triangles and the parameters.
+/* scene.h - what a device traces: the grid, the low-poly mesh's triangles and the parameters.
  *
  * Takes an open grid file (formats/grid); gives the kernel's parameters and array pointers for it,
  * the arrays that a device with memory of its own takes. Every other folder of
  * device/ uses this one. */
-#ifndef BAKE_DEVICE_JOB_JOB_H
-#define BAKE_DEVICE_JOB_JOB_H
+#ifndef BAKE_DEVICE_SCENE_SCENE_H
+#define BAKE_DEVICE_SCENE_SCENE_H
 
 #include "formats/grid/nvdb.h"
 #include "libbake/bake.h"
@@ -14,7 +14,7 @@
 struct bk_grid;
 
 /* Everything that stays the same over a job; pointers stay valid until the device is closed. */
-struct bake_job {
+struct bake_scene {
     const struct fmt_nvdb_grid *grid;
     const struct bk_triangle *triangles;
     uint32_t triangle_count;
@@ -41,7 +41,7 @@ void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *
 
 /* Arrays of a grid, in the order of the kernel's arguments. */
 enum {
-    BAKE_TILES,
+    BAKE_ROOT_TILES,
     BAKE_UPPERS,
     BAKE_LOWERS,
     BAKE_LEAVES,
@@ -54,7 +54,7 @@ enum {
     BAKE_GRID_ARRAYS
 };
 
-enum { BAKE_ARRAY_PARTS = 5 };
+enum { BAKE_ARRAY_RANGES = 5 };
 
 /* An array in the memory of a device: parts of the grid's file, one after another. */
 struct bake_grid_array {
@@ -62,7 +62,7 @@ struct bake_grid_array {
     struct {
         const void *data;
         uint64_t bytes;
-    } parts[BAKE_ARRAY_PARTS];
+    } ranges[BAKE_ARRAY_RANGES];
     uint64_t bytes; /* of all parts; 0: the kernel does not read the array */
 };
 
@@ -75,7 +75,7 @@ struct bake_grid_arrays {
 
 /* Lists the arrays of a job's grid and of its tree, if there is one, which stay valid while both
  * exist. Allocates nothing. */
-void bake_list_arrays(const struct bake_job *job, struct bake_grid_arrays *out);
+void bake_list_arrays(const struct bake_scene *scene, struct bake_grid_arrays *out);
 
 /* Returns how many rays start at each hit. */
 uint32_t bake_ray_count(const struct bk_params *params);

@@ -1,7 +1,7 @@
 /* test_grid_arrays.c - a map gets the same bits from the arrays of a device as from the mapped
  * file. */
 #include "libbake/kernel/bk_grid.h"
-#include "libbake/device/job/job.h"
+#include "libbake/device/scene/scene.h"
 #include "libbake/device/native/native_code.h"
 #include "tests/unit/libbake/analytic_grid.h"
 #include "tests/unit/test.h"
@@ -16,7 +16,7 @@ struct sums {
 struct fixture {
     struct bsq_ctx *ctx;
     struct fmt_nvdb_grid grid;
-    struct bake_job job;
+    struct bake_scene job;
     struct bk_triangle triangles[TRIANGLES];
     uint32_t samples[TEXELS * SAMPLES * SAMPLES];
 };
@@ -87,15 +87,15 @@ static int setup(void **state)
         for (uint32_t i = 0; i < WIDTH * SAMPLES; i++)
             f->samples[j * WIDTH * SAMPLES + i] =
                 i % 37 == 0 ? BK_NO_TRIANGLE : (i / 20 * 5 + j / 16 * 7) % TRIANGLES;
-    f->job = (struct bake_job){.grid = &f->grid,
-                               .triangles = f->triangles,
-                               .triangle_count = TRIANGLES,
-                               .patch_texels = TEXELS,
-                               .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
-                                          .samples = SAMPLES,
-                                          .unit = 1,
-                                          .front = 30,
-                                          .back = 22}};
+    f->job = (struct bake_scene){.grid = &f->grid,
+                                 .triangles = f->triangles,
+                                 .triangle_count = TRIANGLES,
+                                 .patch_texels = TEXELS,
+                                 .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
+                                            .samples = SAMPLES,
+                                            .unit = 1,
+                                            .front = 30,
+                                            .back = 22}};
     bake_params_from_grid(&f->grid, &f->job.params);
     *state = f;
     return 0;
@@ -122,11 +122,11 @@ static void load(const struct bake_grid_arrays *list, char *arrays[BAKE_GRID_ARR
         const struct bake_grid_array *array = &list->arrays[i];
         uint64_t at = 0;
         arrays[i] = malloc(array->bytes + !array->bytes);
-        for (int k = 0; k < BAKE_ARRAY_PARTS; k++) {
-            assert_true(array->parts[k].bytes <= array->bytes - at);
-            if (array->parts[k].bytes > 0)
-                memcpy(arrays[i] + at, array->parts[k].data, array->parts[k].bytes);
-            at += array->parts[k].bytes;
+        for (int k = 0; k < BAKE_ARRAY_RANGES; k++) {
+            assert_true(array->ranges[k].bytes <= array->bytes - at);
+            if (array->ranges[k].bytes > 0)
+                memcpy(arrays[i] + at, array->ranges[k].data, array->ranges[k].bytes);
+            at += array->ranges[k].bytes;
         }
         assert_int_equal(at, array->bytes);
         assert_true(at <= list->largest);
@@ -134,7 +134,7 @@ static void load(const struct bake_grid_arrays *list, char *arrays[BAKE_GRID_ARR
     }
     assert_int_equal(total, list->bytes);
     bk_grid_from_params(grid, &list->params);
-    grid->tiles = (const bk_ulong *)(void *)arrays[BAKE_TILES];
+    grid->root_tiles = (const bk_ulong *)(void *)arrays[BAKE_ROOT_TILES];
     grid->uppers = (const bk_ulong *)(void *)arrays[BAKE_UPPERS];
     grid->lowers = (const bk_ulong *)(void *)arrays[BAKE_LOWERS];
     grid->leaves = (const bk_ulong *)(void *)arrays[BAKE_LEAVES];
