@@ -195,7 +195,7 @@ FED = [
     "no material has a value", 'material "%s": %s: %s%s', "its value is not used", "no materials to keep apart",
     "the grid will have about", "voxels have colours below 0", "--preset: the scan has no", "charts overlap",
     "triangles instead of", "in a grid of %lld", "the processor bakes it",
-    "temporary file cannot be removed",
+    "temporary file cannot be removed", "do not have the same kind", "is not kept, because %s has none",
 ]
 
 
