@@ -5,7 +5,8 @@
  * The words of transfer maps follow (bk_grid.h), then colours, ids and further channels. nodes,
  * blocks: the tree around the leaves. An array that no map needs is missing. */
 #define BK_GRID_ARRAYS                                                                             \
-    const BK_GLOBAL bk_ulong *BK_RESTRICT root_tiles, const BK_GLOBAL bk_ulong *BK_RESTRICT uppers,     \
+    const BK_GLOBAL bk_ulong *BK_RESTRICT root_tiles,                                              \
+        const BK_GLOBAL bk_ulong *BK_RESTRICT uppers,                                              \
         const BK_GLOBAL bk_ulong *BK_RESTRICT lowers,                                              \
         const BK_GLOBAL bk_ulong *BK_RESTRICT leaves,                                              \
         const BK_GLOBAL bk_uint *BK_RESTRICT normals, const BK_GLOBAL bk_uint *BK_RESTRICT planes, \
@@ -16,7 +17,7 @@
 #define BK_SET_GRID(grid, params)                                                                  \
     do {                                                                                           \
         bk_grid_from_params(&(grid), &(params));                                                   \
-        (grid).root_tiles = root_tiles;                                                                      \
+        (grid).root_tiles = root_tiles;                                                            \
         (grid).uppers = uppers;                                                                    \
         (grid).lowers = lowers;                                                                    \
         (grid).leaves = leaves;                                                                    \
