@@ -242,14 +242,13 @@ int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t siz
     bsq_grow(ctx, what, count, size, BSQ_ADDRESS_OF_POINTER(inout), capacity)
 /** @endcond */
 
-/** @name Arrays
- * As the functions, for `count` elements of the type that *out or *inout points to.
- * @{ */
-#define BSQ_ALLOC(ctx, what, count, out)  bsq_alloc(ctx, what, count, sizeof **(out), out)
+/** As bsq_alloc(), for elements of the type that *out points to. */
+#define BSQ_ALLOC(ctx, what, count, out) bsq_alloc(ctx, what, count, sizeof **(out), out)
+/** As bsq_calloc(), likewise. */
 #define BSQ_CALLOC(ctx, what, count, out) bsq_calloc(ctx, what, count, sizeof **(out), out)
+/** As bsq_grow(), likewise. */
 #define BSQ_GROW(ctx, what, count, inout, capacity)                                                \
     bsq_grow(ctx, what, count, sizeof **(inout), inout, capacity)
-/** @} */
 
 /** Frees memory of bsq_alloc(), bsq_calloc() or bsq_grow(); NULL is allowed. */
 void bsq_free(struct bsq_ctx *ctx, void *memory);
