@@ -406,9 +406,8 @@ static void join_free(struct joining *j)
     fmt_tris_discard(j->writer);
     for (uint32_t i = 0; i < j->part_count; i++)
         fmt_tris_close(j->parts[i].file);
-    for (uint64_t i = 0; j->slots && i < j->slot_count; i++) {
+    for (uint64_t i = 0; j->slots && i < j->slot_count; i++)
         BSQ_FREE(j->ctx, j->slots[i].scratch, j->slots[i].encoded);
-    }
     BSQ_FREE(j->ctx, j->parts, j->header.materials, j->header.channels, j->sources, j->slots,
              j->zeros, j->ones);
 }

@@ -3,11 +3,7 @@
 
 #include <string.h>
 
-/* A triangle of a chunk. */
-struct item {
-    float middle[3]; /* of its bounds, twice */
-    uint32_t triangle;
-};
+#include "base/geometry/middles.h"
 
 static uint64_t tree_bytes(uint32_t triangles)
 {
@@ -20,70 +16,42 @@ uint64_t bake_exact_leaves_bytes(uint32_t triangles)
            bsq_align_up(exact_runs(triangles) * sizeof(struct exact_leaf), BSQ_ALIGNMENT);
 }
 
-static uint64_t items_bytes(uint32_t triangles)
+static uint64_t middles_bytes(uint32_t triangles)
 {
-    return bsq_align_up(triangles * sizeof(struct item), BSQ_ALIGNMENT);
+    return bsq_align_up(triangles * sizeof(struct bsq_middle), BSQ_ALIGNMENT);
 }
 
 uint64_t bake_exact_leaves_scratch_bytes(uint32_t triangles)
 {
-    return items_bytes(triangles) +
+    return middles_bytes(triangles) +
            bsq_align_up(exact_runs(triangles) * sizeof(struct exact_box), BSQ_ALIGNMENT);
 }
 
 /* ---- order ---- */
 
-/* Moves the `first` items with the least middles on an axis to the front (Hoare, "Algorithm 65:
- * Find", 1961). */
-static void select_first(struct item *items, uint32_t count, uint32_t first, int axis)
-{
-    int64_t begin = 0, end = (int64_t)count - 1;
-    while (begin < end) {
-        const float pivot = items[begin + (end - begin) / 2].middle[axis];
-        int64_t i = begin, j = end;
-        while (i <= j) {
-            while (items[i].middle[axis] < pivot)
-                i++;
-            while (items[j].middle[axis] > pivot)
-                j--;
-            if (i > j)
-                break;
-            const struct item swapped = items[i];
-            items[i++] = items[j];
-            items[j--] = swapped;
-        }
-        if ((int64_t)first <= j)
-            end = j;
-        else if ((int64_t)first >= i)
-            begin = i;
-        else
-            return;
-    }
-}
-
-static int longest_axis(const struct item *items, uint32_t count)
+static int longest_axis(const struct bsq_middle *middles, uint32_t count)
 {
     struct exact_box box = EXACT_EMPTY_BOX;
     int axis = 0;
     for (uint32_t i = 0; i < count; i++)
-        exact_box_grow(&box, items[i].middle, items[i].middle);
+        exact_box_grow(&box, middles[i].at, middles[i].at);
     for (int k = 1; k < 3; k++)
         axis = box.high[k] - box.low[k] > box.high[axis] - box.low[axis] ? k : axis;
     return axis;
 }
 
-/* Orders items so that each 8, 64, 512 and so on, as the tree's nodes have them, are close
+/* Orders triangles so that each 8, 64, 512 and so on, as the tree's nodes have them, are close
  * together: halves them across the longest side. */
-static void sort_items(struct item *items, uint32_t count)
+static void sort_middles(struct bsq_middle *middles, uint32_t count)
 {
     while (count > EXACT_RUN) {
         uint32_t part = EXACT_RUN; /* of a child of the node that holds all of them */
         while (part < (count + 7) / 8)
             part *= 8;
         const uint32_t parts = (count + part - 1) / part, first = parts / 2 * part;
-        select_first(items, count, first, longest_axis(items, count));
-        sort_items(items, first);
-        items += first;
+        bsq_select_middles(middles, count, first, longest_axis(middles, count));
+        sort_middles(middles, first);
+        middles += first;
         count -= first;
     }
 }
@@ -92,12 +60,12 @@ static void sort_items(struct item *items, uint32_t count)
 
 /* Sets a leaf to up to eight triangles. Returns their bounds. */
 static struct exact_box set_corners(struct exact_leaf *leaf, const struct fmt_tris_chunk *chunk,
-                                    const struct item *items, uint32_t count, bool sided)
+                                    const struct bsq_middle *middles, uint32_t count, bool sided)
 {
     struct exact_box box = EXACT_EMPTY_BOX;
     leaf->backwards = 0;
     for (uint32_t i = 0; i < EXACT_RUN; i++) {
-        const uint32_t triangle = items[i < count ? i : count - 1].triangle;
+        const uint32_t triangle = middles[i < count ? i : count - 1].number;
         if (sided)
             leaf->backwards |= (uint32_t)bake_exact_wound_backwards(chunk, triangle) << i;
         for (int corner = 0; corner < 3; corner++) {
@@ -114,21 +82,21 @@ void bake_exact_leaves_build(const struct fmt_tris_chunk *chunk, bool sorted, bo
                              void *memory, void *scratch, struct exact_leaves *out)
 {
     const uint32_t count = chunk->triangle_count;
-    struct item *items = scratch;
-    struct exact_box *boxes = (struct exact_box *)(void *)((char *)scratch + items_bytes(count));
+    struct bsq_middle *middles = scratch;
+    struct exact_box *boxes = (struct exact_box *)(void *)((char *)scratch + middles_bytes(count));
     out->leaves = (struct exact_leaf *)(void *)((char *)memory + tree_bytes(count));
     for (uint32_t t = 0; t < count; t++) {
         four_floats low, high;
         exact_triangle_bounds(chunk, t, &low, &high);
         low += high;
-        memcpy(items[t].middle, &low, sizeof items[t].middle);
-        items[t].triangle = t;
+        memcpy(middles[t].at, &low, sizeof middles[t].at);
+        middles[t].number = t;
     }
     if (sorted)
-        sort_items(items, count);
+        sort_middles(middles, count);
     for (uint32_t first = 0; first < count; first += EXACT_RUN)
         boxes[first / EXACT_RUN] =
-            set_corners(&out->leaves[first / EXACT_RUN], chunk, items + first,
+            set_corners(&out->leaves[first / EXACT_RUN], chunk, middles + first,
                         count - first < EXACT_RUN ? count - first : EXACT_RUN, sided);
     bake_exact_tree_build(&out->tree, exact_runs(count), boxes, memory);
 }

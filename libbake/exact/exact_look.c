@@ -176,8 +176,8 @@ static int load_some(void *arg, uint64_t loader, unsigned worker)
     return status;
 }
 
-/* Loads chunks, and builds the tree over them. Triangles are sorted if there are so many rays that
- * it pays. */
+/* Loads chunks, and builds the tree over them. Triangles are sorted if there are more rays than
+ * triangles: only then does sorting save more time than it takes. */
 static int look_load_group(struct pass *pass, const uint32_t *chunks, uint32_t count)
 {
     struct bake_exact_look *look = pass->look;

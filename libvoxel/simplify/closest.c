@@ -5,6 +5,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "base/geometry/middles.h"
 #include "libvoxel/simplify/distance_lanes.h"
 
 /* The depth is that of halving 2^32 triangles into leaves. */
@@ -18,53 +19,36 @@ struct vox_closest_node {
 
 struct build {
     struct vox_closest *tree;
-    float (*middles)[3]; /* of triangles, twice; NULL: triangles are in order */
+    struct bsq_middle *middles; /* of triangles, twice; NULL: these are in order */
     uint32_t node_count;
 };
 
-static void bound_node(const struct vox_closest *tree, struct vox_closest_node *node)
+static void bound_triangle(const struct vox_closest *tree, uint32_t triangle, float low[3],
+                           float high[3])
+{
+    const uint32_t *t = tree->triangles[triangle];
+    for (int k = 0; k < 3; k++) {
+        const float x = tree->positions[t[0]][k], y = tree->positions[t[1]][k],
+                    z = tree->positions[t[2]][k];
+        const float less = x < y ? x : y, more = x < y ? y : x;
+        low[k] = less < z ? less : z;
+        high[k] = more > z ? more : z;
+    }
+}
+
+static void bound_node(const struct build *b, struct vox_closest_node *node)
 {
     for (int k = 0; k < 3; k++) {
         node->low[k] = INFINITY;
         node->high[k] = -INFINITY;
     }
-    for (uint32_t i = node->begin; i < node->end; i++)
-        for (int corner = 0; corner < 3; corner++)
-            for (int k = 0; k < 3; k++) {
-                const float x = tree->positions[tree->triangles[tree->order[i]][corner]][k];
-                node->low[k] = x < node->low[k] ? x : node->low[k];
-                node->high[k] = x > node->high[k] ? x : node->high[k];
-            }
-}
-
-/* Partitions order[begin, end) so that those with the least middles on an axis come first, up to
- * `middle` (Hoare, "Algorithm 65: Find", 1961). */
-static void select_middle(const struct build *b, uint32_t begin, uint32_t end, uint32_t middle,
-                          int axis)
-{
-    uint32_t *order = b->tree->order;
-    while (end - begin > 1) {
-        const float pivot = b->middles[order[begin + (end - begin) / 2]][axis];
-        uint32_t i = begin, j = end - 1;
-        while (i <= j) {
-            while (b->middles[order[i]][axis] < pivot)
-                i++;
-            while (b->middles[order[j]][axis] > pivot)
-                j--;
-            if (i > j)
-                break;
-            const uint32_t swapped = order[i];
-            order[i++] = order[j];
-            order[j] = swapped;
-            if (j-- == 0)
-                break;
+    for (uint32_t i = node->begin; i < node->end; i++) {
+        float low[3], high[3];
+        bound_triangle(b->tree, b->middles ? b->middles[i].number : i, low, high);
+        for (int k = 0; k < 3; k++) {
+            node->low[k] = low[k] < node->low[k] ? low[k] : node->low[k];
+            node->high[k] = high[k] > node->high[k] ? high[k] : node->high[k];
         }
-        if (j != UINT32_MAX && middle <= j)
-            end = j + 1;
-        else if (middle >= i)
-            begin = i;
-        else
-            return;
     }
 }
 
@@ -75,14 +59,14 @@ static void build_node(struct build *b, uint32_t begin, uint32_t end)
     const uint32_t middle = begin + (end - begin) / 2;
     *node = (struct vox_closest_node){.begin = begin, .end = end};
     if (leaf || b->middles)
-        bound_node(b->tree, node);
+        bound_node(b, node);
     if (leaf)
         return;
     if (b->middles) {
         int axis = 0;
         for (int k = 1; k < 3; k++)
             axis = node->high[k] - node->low[k] > node->high[axis] - node->low[axis] ? k : axis;
-        select_middle(b, begin, end, middle, axis);
+        bsq_select_middles(b->middles + begin, end - begin, middle - begin, axis);
     }
     build_node(b, begin, middle);
     node->right = b->node_count;
@@ -105,18 +89,18 @@ int vox_closest_build(struct bsq_ctx *ctx, const float (*positions)[3],
     /* Leaves have at least half of LEAF_TRIANGLES. */
     BSQ_TRY(BSQ_ALLOC(ctx, "a tree of triangles", triangle_count + 1, &out->nodes));
     BSQ_TRY(BSQ_ALLOC(ctx, "a tree of triangles", triangle_count, &out->order));
-    for (uint32_t t = 0; t < triangle_count; t++)
-        out->order[t] = t;
     if (!in_order)
         BSQ_TRY(BSQ_ALLOC(ctx, "a tree of triangles", triangle_count, &b.middles));
     for (uint32_t t = 0; t < triangle_count && b.middles; t++) {
-        for (int k = 0; k < 3; k++) {
-            const float x = positions[triangles[t][0]][k], y = positions[triangles[t][1]][k],
-                        z = positions[triangles[t][2]][k];
-            b.middles[t][k] = fminf(x, fminf(y, z)) + fmaxf(x, fmaxf(y, z));
-        }
+        float low[3], high[3];
+        bound_triangle(out, t, low, high);
+        b.middles[t].number = t;
+        for (int k = 0; k < 3; k++)
+            b.middles[t].at[k] = low[k] + high[k];
     }
     build_node(&b, 0, triangle_count);
+    for (uint32_t i = 0; i < triangle_count; i++)
+        out->order[i] = b.middles ? b.middles[i].number : i;
 done:
     bsq_free(ctx, b.middles);
     if (status < 0)
@@ -166,19 +150,6 @@ double vox_triangle_square(const float *const corners[3], const float point[3], 
 {
     const double p[3] = {(double)point[0], (double)point[1], (double)point[2]};
     return vox_triangle_square_at(corners, p, most);
-}
-
-static void bound_triangle(const struct vox_closest *tree, uint32_t triangle, float low[3],
-                           float high[3])
-{
-    const uint32_t *t = tree->triangles[triangle];
-    for (int k = 0; k < 3; k++) {
-        const float x = tree->positions[t[0]][k], y = tree->positions[t[1]][k],
-                    z = tree->positions[t[2]][k];
-        const float less = x < y ? x : y, more = x < y ? y : x;
-        low[k] = less < z ? less : z;
-        high[k] = more > z ? more : z;
-    }
 }
 
 /* Tries a triangle of a leaf if its own box is near enough. */

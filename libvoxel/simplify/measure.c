@@ -9,16 +9,15 @@
 #include <float.h>
 #include <string.h>
 
-#include "base/geometry/vec.h"
 #include "base/parallel.h"
 #include "libvoxel/simplify/steps.h"
 
 enum {
-    GUESS_CHUNKS = 16, /* one in so many is looked at first, at most */
-    GUESS_CHUNKS_MAX = 64,
-    GUESS_RUNS = 16,  /* of them, and there one run of vertices in so many */
-    FINE_SHARE = 64,  /* triangles below this share of the mesh's own need no inner points */
-    POINTS_SHARE = 8, /* others have one in each of these shares, */
+    GUESS_CHUNKS = 16,     /* for the guess, one chunk of 16 is loaded, */
+    GUESS_CHUNKS_MAX = 64, /* and about 64 of them at most; */
+    GUESS_RUNS = 16,       /* of its runs of vertices, one of 16 is measured */
+    FINE_SHARE = 64,       /* triangles below this share of the mesh's own need no inner points */
+    POINTS_SHARE = 8,      /* others have one in each of these shares, */
     POINTS_MAX = 1 << 16
 };
 /* How much higher than the guess triangles of the scan may be above the mesh's; at most this part
@@ -67,13 +66,6 @@ static void summarize(const struct vox_measuring *m, const struct vox_sums *sums
     bin = (VOX_BINS_FIRST + bin + 1) << 48;
     memcpy(&out->p99, &bin, sizeof bin);
     out->p99 = fmin(sqrt(out->p99), out->max);
-}
-
-static double triangle_area(const float (*positions)[3], const uint32_t triangle[3])
-{
-    double normal[3];
-    vox_triangle_normal(positions, triangle, normal);
-    return 0.5 * sqrt(bsq_dotd(normal, normal));
 }
 
 /* ---- the vertices of a chunk ---- */
@@ -205,7 +197,7 @@ static int measure_triangles(const struct vox_measuring *m, const struct fmt_tri
     for (uint32_t t = 0; t < chunk->triangle_count; t++) {
         const uint32_t *v = chunk->triangles[t];
         const float *const corners[3] = {positions[v[0]], positions[v[1]], positions[v[2]]};
-        const double area = triangle_area(positions, v);
+        const double area = vox_triangle_area(positions, v);
         double share = 1;
         if (area > fine)
             share = measure_inside(m, corners, area, slot);
@@ -329,7 +321,7 @@ static void measure_sizes(struct vox_measuring *m)
     const float(*positions)[3] = (const float(*)[3])m->mesh->positions;
     double area = 0, most = 0;
     for (uint32_t t = 0; t < m->mesh->triangle_count; t++)
-        area += triangle_area(positions, m->mesh->triangles[t]);
+        area += vox_triangle_area(positions, m->mesh->triangles[t]);
     for (uint32_t v = 0; v < m->mesh->vertex_count; v++)
         for (int k = 0; k < 3; k++)
             most = fmax(most, fabs((double)positions[v][k]));

@@ -8,7 +8,8 @@
 #include "base/sort_array.h"
 #include "base/geometry/vec.h"
 
-void vox_quadric_add(struct vox_quadric *q, const struct vox_quadric *other)
+/* Adds the quadric of another vertex at the same position. */
+static void add_quadric(struct vox_quadric *q, const struct vox_quadric *other)
 {
     for (int i = 0; i < 6; i++)
         q->a[i] += other->a[i];
@@ -125,7 +126,7 @@ static void join_vertices(struct vox_mesh *mesh, struct bsq_positions *table, ui
                 mesh->quadrics[count] = mesh->quadrics[v];
             *cell = ++count;
         } else if (mesh->quadrics) {
-            vox_quadric_add(&mesh->quadrics[*cell - 1], &mesh->quadrics[v]);
+            add_quadric(&mesh->quadrics[*cell - 1], &mesh->quadrics[v]);
         }
         numbers[v] = *cell - 1;
     }

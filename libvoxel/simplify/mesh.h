@@ -2,7 +2,10 @@
 #ifndef VOX_SIMPLIFY_MESH_H
 #define VOX_SIMPLIFY_MESH_H
 
+#include <math.h>
+
 #include "base/context.h"
+#include "base/geometry/vec.h"
 
 /* v A v + 2 b v + c, with A as xx, xy, xz, yy, yz, zz; v is relative to the vertex that has it, so
  * that single precision is enough. */
@@ -30,9 +33,6 @@ int vox_mesh_copy(struct bsq_ctx *ctx, const struct vox_mesh *from, uint32_t mor
 /* Copies a triangle and its material to number `to`, which may be the same. */
 void vox_mesh_move_triangle(struct vox_mesh *mesh, uint32_t to, uint32_t from);
 void vox_mesh_free(struct bsq_ctx *ctx, struct vox_mesh *mesh);
-
-/* Adds the quadric of another vertex at the same position. */
-void vox_quadric_add(struct vox_quadric *q, const struct vox_quadric *other);
 
 /* Returns a quadric relative to a place that is `s` away from its own one, in double. */
 void vox_quadric_shift(const struct vox_quadric *q, const double s[3], double a[6], double b[3],
@@ -74,6 +74,13 @@ static inline void vox_triangle_normal(const float (*positions)[3], const uint32
     normal[0] = e[1] * f[2] - e[2] * f[1];
     normal[1] = e[2] * f[0] - e[0] * f[2];
     normal[2] = e[0] * f[1] - e[1] * f[0];
+}
+
+static inline double vox_triangle_area(const float (*positions)[3], const uint32_t triangle[3])
+{
+    double normal[3];
+    vox_triangle_normal(positions, triangle, normal);
+    return 0.5 * sqrt(bsq_dotd(normal, normal));
 }
 
 #endif

@@ -6,7 +6,6 @@
 #include <float.h>
 #include <string.h>
 
-#include "base/geometry/vec.h"
 #include "base/parallel.h"
 #include "libvoxel/simplify/measure.h"
 
@@ -73,15 +72,14 @@ static void spread_samples(struct sampling *s, double most)
 {
     const struct vox_mesh *mesh = s->m->mesh;
     const double area = s->m->reach * s->m->reach * mesh->triangle_count;
-    double reached = 0, normal[3];
+    double reached = 0;
     uint32_t done = 0;
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         const uint32_t *corners = mesh->triangles[t];
         const float(*positions)[3] = (const float(*)[3])mesh->positions;
         const bool last = t + 1 == mesh->triangle_count;
         const double bound = s->m->bounds[t];
-        vox_triangle_normal(positions, corners, normal);
-        reached += 0.5 * sqrt(bsq_dotd(normal, normal));
+        reached += vox_triangle_area(positions, corners);
         for (; done < s->area_samples && (last || (done + 0.5) * area < reached * s->area_samples);
              done++) {
             double u = fmod(0.5 + 0.7548776662466927 * done, 1.0),
