@@ -159,16 +159,17 @@ $(BUILD)/tests/recipe/bisque-voxelize: | $(BUILD)/tests/lib
 $(eval $(call program,voxelize,tests/recipe,$(recipe_objs)))
 
 fuzz_seconds ?= 60
+fuzz_options ?= -max_total_time=$(fuzz_seconds)
 .PHONY: $(fuzz_names:%=fuzz-%) fuzz-all fuzz-all-build fuzz-merge
 ## fuzz-NAME: fuzz a target of tests/fuzz for fuzz_seconds=60: obj, ply, stl, mtl, tris, nvdb, …
 $(fuzz_names:%=fuzz-%): fuzz-%:
 	@$(MAKE) --no-print-directory config=fuzz build/fuzz/tests/fuzz-$*
-	tests/fuzz/run_all.sh $(fuzz_seconds) 1 $*
+	tests/fuzz/run_all.sh '$(fuzz_options)' 1 $*
 
 ## fuzz-all: all targets for fuzz_seconds=60 each; inputs that fail are in build/fuzz/failures
 fuzz-all:
 	@$(MAKE) --no-print-directory -j$(jobs) config=fuzz fuzz-all-build
-	tests/fuzz/run_all.sh $(fuzz_seconds) $(jobs) $(fuzz_names)
+	tests/fuzz/run_all.sh '$(fuzz_options)' $(jobs) $(fuzz_names)
 fuzz-all-build: $(fuzz_names:%=$(BUILD)/tests/fuzz-%)
 
 ## fuzz-merge: add what fuzzing found and reaches new code to tests/fuzz/corpus

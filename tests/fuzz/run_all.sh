@@ -1,10 +1,12 @@
 #!/bin/bash
-# run_all.sh SECONDS JOBS NAME... - fuzzes each target of build/fuzz/tests for some seconds, JOBS at
-# a time, from tests/fuzz/corpus and from what earlier runs found (build/fuzz/corpus). Prints a line
-# for each. If a target fails, prints the end of its log, and the input is in build/fuzz/failures.
+# run_all.sh OPTIONS JOBS NAME... - fuzzes each target of build/fuzz/tests with libFuzzer's OPTIONS,
+# JOBS at a time, from tests/fuzz/corpus and from what earlier runs found (build/fuzz/corpus). Prints
+# a line for each. If a target fails, prints the end of its log, and the input is in
+# build/fuzz/failures.
 set -u
 cd "$(dirname "$0")/../.." || exit 1
-seconds=$1 jobs=$2
+read -r -a options <<<"$1"
+jobs=$2
 shift 2
 failures=build/fuzz/failures
 
@@ -14,7 +16,7 @@ fuzz()
     # Draco reserves as much as a damaged count says, mostly without touching it.
     [ "$name" != compressed ] || block=30000 all=6000
     mkdir -p "build/fuzz/corpus/$name"
-    if ! "build/fuzz/tests/fuzz-$name" -max_total_time="$seconds" -print_final_stats=1 \
+    if ! "build/fuzz/tests/fuzz-$name" "${options[@]}" -print_final_stats=1 \
         -timeout=120 -malloc_limit_mb=$block -rss_limit_mb=$all $([ ! -e "$dict" ] || echo "-dict=$dict") \
         -artifact_prefix="$failures/$name-" "build/fuzz/corpus/$name" "tests/fuzz/corpus/$name" \
         >"$log" 2>&1; then
