@@ -49,12 +49,12 @@ struct bake_time_spans {
     struct bake_span spans[BAKE_TIME_SPANS_MAX];
 };
 
-/* Adds a span. Spans may come in any order, as long as none comes after more than
- * BAKE_TIME_SPANS_MAX / 2 later ones that do not touch each other. */
+/* Adds a span. Spans may come in any order, as long as none comes after BAKE_TIME_SPANS_MAX later
+ * ones that do not touch each other. */
 void bake_time_spans_add(struct bake_time_spans *spans, const struct bake_span *span);
 
 /* Returns the length of the union of all spans, in seconds. */
-double bake_time_spans_seconds(struct bake_time_spans *spans);
+double bake_time_spans_seconds(const struct bake_time_spans *spans);
 
 /* ---- devices: gpu.c ---- */
 

@@ -1,10 +1,7 @@
-/* launches.c - the batches in which a patch is traced; a list of time spans is merged whenever it
- * is full. */
+/* launches.c - the batches in which a patch is traced; a list of time spans that do not touch. */
 #include "libbake/device/gpu/gpu.h"
 
-#include <string.h>
-
-#include "base/sort_array.h"
+#include <math.h>
 
 /* ---- launch batches ---- */
 
@@ -51,50 +48,32 @@ bool bake_next_batch(const struct bk_params *params, const struct bk_patch *patc
 
 /* ---- times ---- */
 
-static int by_start(const void *a, const void *b)
-{
-    double x = ((const struct bake_span *)a)->start, y = ((const struct bake_span *)b)->start;
-    return (x > y) - (x < y);
-}
-
-/* Sorts the spans and merges those that touch. */
-static void launches_merge(struct bake_time_spans *spans)
-{
-    unsigned kept = 0;
-    bsq_sort(spans->spans, spans->count, sizeof *spans->spans, by_start);
-    for (unsigned i = 0; i < spans->count; i++) {
-        struct bake_span span = spans->spans[i];
-        if (kept && span.start <= spans->spans[kept - 1].end) {
-            if (span.end > spans->spans[kept - 1].end)
-                spans->spans[kept - 1].end = span.end;
-        } else {
-            spans->spans[kept++] = span;
-        }
-    }
-    spans->count = kept;
-}
-
 void bake_time_spans_add(struct bake_time_spans *spans, const struct bake_span *span)
 {
+    struct bake_span all = *span;
+    unsigned kept = 0, first = 0;
     if (!(span->end > span->start))
         return;
-    if (spans->count == BAKE_TIME_SPANS_MAX) {
-        launches_merge(spans);
-        if (spans->count > BAKE_TIME_SPANS_MAX / 2) {
-            const unsigned early = spans->count - BAKE_TIME_SPANS_MAX / 2;
-            for (unsigned i = 0; i < early; i++)
-                spans->closed += spans->spans[i].end - spans->spans[i].start;
-            spans->count -= early;
-            memmove(spans->spans, spans->spans + early, spans->count * sizeof *spans->spans);
-        }
+    for (unsigned i = 0; i < spans->count; i++) {
+        const struct bake_span other = spans->spans[i];
+        if (other.end < all.start || other.start > all.end)
+            spans->spans[kept++] = other;
+        else
+            all = (struct bake_span){fmin(all.start, other.start), fmax(all.end, other.end)};
     }
-    spans->spans[spans->count++] = *span;
+    for (unsigned i = 0; i < kept && kept == BAKE_TIME_SPANS_MAX; i++)
+        first = spans->spans[i].start < spans->spans[first].start ? i : first;
+    if (kept == BAKE_TIME_SPANS_MAX) {
+        spans->closed += spans->spans[first].end - spans->spans[first].start;
+        spans->spans[first] = spans->spans[--kept];
+    }
+    spans->spans[kept] = all;
+    spans->count = kept + 1;
 }
 
-double bake_time_spans_seconds(struct bake_time_spans *spans)
+double bake_time_spans_seconds(const struct bake_time_spans *spans)
 {
     double sum = spans->closed;
-    launches_merge(spans);
     for (unsigned i = 0; i < spans->count; i++)
         sum += spans->spans[i].end - spans->spans[i].start;
     return sum;
