@@ -1,46 +1,45 @@
 /* exact_buckets.c - sorts bundles of rays into buckets, one for each chunk that a ray crosses.
  *
  * Neighbouring bundles cross the same few chunks, so candidate chunks are looked up once for a
- * group of them. This is a counting sort over segments of the batch: each segment counts its pairs
- * of bundle and chunk, and later writes them to places of its own. So the bundles of a bucket are
- * in order for any number of threads. */
+ * group of them. Workers list the pairs of bundles and chunks, each in runs of its own, so that
+ * neighbours stay together. Then a counting sort by chunk fills the buckets. The order of a
+ * bucket's bundles changes no hit. */
 #include "libbake/exact/exact_scene.h"
 #include "libbake/exact/exact_line.h"
 
 #include <assert.h>
 #include <math.h>
+#include <stdatomic.h>
 #include <string.h>
 
 #include "base/parallel.h"
 
-enum { SEGMENTS_A_THREAD = 4 };
+/* Bundles for which candidate chunks are looked up together; that a worker sorts at a time; pairs
+ * of a run. */
+enum { NEIGHBOURS = 4, SORTED_AT_ONCE = 64 * NEIGHBOURS, RUN = 512 };
 
-/* Buffers of a thread. */
+struct pair {
+    uint32_t chunk, bundle;
+};
+
 struct worker {
     uint32_t *candidates;     /* chunks */
     uint32_t *crossed;        /* candidates of a bundle */
     struct exact_box8 *boxes; /* of the candidates */
+    uint64_t at, end;         /* of its run: the next pair */
 };
 
 struct sorting {
     const struct bake_exact *exact;
     const struct bake_ray_batch *batch;
     uint64_t first, count; /* bundles of the batch */
-    uint64_t segment_bundles;
-    uint32_t segments;
-    /* segments x chunk_count: pairs of each segment and chunk; in the second pass the place of the
-     * segment's next bundle in the bucket. */
-    uint32_t *counts;
+    struct worker *workers;
     uint32_t *numbers;        /* candidates and crossed ones of all workers */
     struct exact_box8 *boxes; /* likewise */
-    struct exact_buckets *buckets;
-    bool writing; /* the second pass */
+    struct pair *pairs;
+    uint64_t space;            /* for pairs */
+    atomic_uint_fast64_t used; /* by runs; above `space`, pairs are lost */
 };
-
-static uint32_t segments_of(const struct bake_exact *exact)
-{
-    return SEGMENTS_A_THREAD * bsq_threads(exact->ctx);
-}
 
 static uint64_t box8_count(const struct bake_exact *exact)
 {
@@ -55,13 +54,12 @@ static uint64_t number_count(const struct bake_exact *exact)
 
 uint64_t bake_exact_buckets_scratch_bytes(const struct bake_exact *exact)
 {
-    uint64_t worker =
-        number_count(exact) * sizeof(uint32_t) + box8_count(exact) * sizeof(struct exact_box8);
-    return segments_of(exact) * (uint64_t)exact->chunk_count * sizeof(uint32_t) +
-           bsq_threads(exact->ctx) * worker;
+    return bsq_threads(exact->ctx) *
+           (number_count(exact) * sizeof(uint32_t) + box8_count(exact) * sizeof(struct exact_box8) +
+            RUN * sizeof(struct pair));
 }
 
-/* ---- groups ---- */
+/* ---- pairs ---- */
 
 /* Returns a box around the parts of rays [begin, end) where hits count, with a margin for rounding
  * errors. */
@@ -94,148 +92,95 @@ static struct exact_box box_of_rays(const struct bake_ray_batch *batch, uint64_t
 static uint32_t buckets_find_candidates(const struct sorting *s, uint64_t begin, uint64_t end,
                                         const struct worker *worker)
 {
-    struct exact_box *box =
-        &s->buckets->around[(begin / BAKE_RAY_BUNDLE - s->first) / EXACT_SORTED];
-    if (!s->writing)
-        *box = box_of_rays(s->batch, begin, end);
+    const struct exact_box box = box_of_rays(s->batch, begin, end);
     const uint32_t first = s->batch->sweep ? s->batch->first_chunk : 0;
     const uint32_t stop = exact_end_chunk(s->exact, s->batch);
-    const uint32_t found = bake_exact_tree_overlapping(&s->exact->tree, box, worker->candidates);
+    const uint32_t found = bake_exact_tree_overlapping(&s->exact->tree, &box, worker->candidates);
     uint32_t count = 0;
     for (uint32_t i = 0; i < found; i++)
         if (worker->candidates[i] >= first && worker->candidates[i] < stop)
             worker->candidates[count++] = worker->candidates[i];
     for (uint32_t i = 0; i < count; i++) {
         const struct fmt_tris_chunk_info *chunk = &s->exact->chunks[worker->candidates[i]];
-        for (int k = 0; k < 3; k++) {
-            worker->boxes[i / 8].planes[0][k][i % 8] = chunk->bounds_min[k];
-            worker->boxes[i / 8].planes[1][k][i % 8] = chunk->bounds_max[k];
-        }
+        exact_box8_put(worker->boxes, i, chunk->bounds_min, chunk->bounds_max);
     }
-    for (uint32_t i = count; i % 8 != 0; i++)
-        for (int k = 0; k < 3; k++) {
-            worker->boxes[i / 8].planes[0][k][i % 8] = INFINITY;
-            worker->boxes[i / 8].planes[1][k][i % 8] = -INFINITY;
-        }
+    exact_box8_end(worker->boxes, count);
     return count;
 }
 
-/* Returns the number after the last ray of bundle `end` - 1. */
-static uint64_t rays_end(const struct sorting *s, uint64_t end)
-{
-    const uint64_t rays = end * BAKE_RAY_BUNDLE;
-    return rays < s->batch->count ? rays : s->batch->count;
-}
-
-/* Finds the candidates that a bundle crosses. If they are few, the first pass notes them in
- * found[], which is not used before tracing, for the second. Returns their number. */
-static uint32_t find_crossed(const struct sorting *s, uint64_t bundle, uint32_t candidates,
-                             const struct worker *worker)
+/* Adds the pairs of a bundle and the candidates that it crosses. */
+static void sort_bundle(struct sorting *s, uint64_t bundle, uint32_t candidates,
+                        struct worker *worker)
 {
     const struct bake_ray_batch *batch = s->batch;
-    const uint64_t first = bundle * BAKE_RAY_BUNDLE;
-    const bool noted = candidates <= 8 * sizeof *s->buckets->found;
-    uint16_t *note = &s->buckets->found[bundle - s->first];
-    uint32_t crossed = 0;
-    if (s->writing && noted) {
-        for (unsigned bits = *note; bits; bits &= bits - 1)
-            worker->crossed[crossed++] = (uint32_t)__builtin_ctz(bits);
-        return crossed;
-    }
-    crossed = BSQ_SIMD_PICK(s->exact->simd, bake_exact_crossed)(
-        &batch->rays[first], (uint32_t)(rays_end(s, bundle + 1) - first), batch->t_min,
-        batch->t_max, worker->boxes, candidates, worker->crossed);
-    if (noted)
-        *note = 0;
-    for (uint32_t i = 0; i < crossed && noted; i++)
-        *note |= (uint16_t)(1u << worker->crossed[i]);
-    return crossed;
-}
-
-/* Counts the chunks that a bundle crosses, and in the second pass adds it to their buckets. */
-static void sort_bundle(const struct sorting *s, uint64_t bundle, uint32_t candidates,
-                        const struct worker *worker, uint32_t *counts)
-{
-    const uint32_t crossed = find_crossed(s, bundle, candidates, worker);
-    for (uint32_t i = 0; i < crossed; i++) {
-        const uint32_t chunk = worker->candidates[worker->crossed[i]];
-        const uint32_t place = counts[chunk]++;
-        if (s->writing)
-            s->buckets->bundles[s->buckets->starts[chunk] + place] = (uint32_t)bundle;
+    const uint64_t first = bundle * BAKE_RAY_BUNDLE, left = batch->count - first;
+    const uint32_t crossed = BSQ_SIMD_PICK(s->exact->simd, bake_exact_crossed)(
+        &batch->rays[first], (uint32_t)(left < BAKE_RAY_BUNDLE ? left : BAKE_RAY_BUNDLE),
+        batch->t_min, batch->t_max, worker->boxes, candidates, worker->crossed);
+    for (uint32_t i = 0; i < crossed; i++, worker->at++) {
+        if (worker->at == worker->end) {
+            worker->at = atomic_fetch_add(&s->used, RUN);
+            worker->end = worker->at + RUN;
+        }
+        if (worker->end <= s->space)
+            s->pairs[worker->at] =
+                (struct pair){worker->candidates[worker->crossed[i]], (uint32_t)bundle};
     }
 }
 
-static int sort_segment(void *arg, uint64_t segment, unsigned number)
+static int sort_bundles(void *arg, uint64_t begin, uint64_t end, unsigned number)
 {
-    const struct sorting *s = arg;
-    uint32_t *numbers = s->numbers + number * number_count(s->exact);
-    const struct worker worker = {numbers, numbers + s->exact->chunk_count,
-                                  s->boxes + number * box8_count(s->exact)};
-    uint64_t begin = segment * s->segment_bundles, end = begin + s->segment_bundles;
-    end = end < s->count ? end : s->count;
-    uint32_t *counts = s->counts + segment * s->exact->chunk_count;
-    int status = 0;
-    for (; begin < end && (status = bsq_check(s->exact->ctx)) == 0; begin += EXACT_SORTED) {
-        uint64_t stop = begin + EXACT_SORTED < end ? begin + EXACT_SORTED : end;
-        uint32_t candidates = buckets_find_candidates(s, (s->first + begin) * BAKE_RAY_BUNDLE,
-                                                      rays_end(s, s->first + stop), &worker);
+    struct sorting *s = arg;
+    struct worker *worker = &s->workers[number];
+    for (uint64_t stop; begin < end; begin = stop) {
+        stop = end - begin < NEIGHBOURS ? end : begin + NEIGHBOURS;
+        const uint64_t rays_end = (s->first + stop) * BAKE_RAY_BUNDLE;
+        const uint32_t candidates = buckets_find_candidates(
+            s, (s->first + begin) * BAKE_RAY_BUNDLE,
+            rays_end < s->batch->count ? rays_end : s->batch->count, worker);
         for (uint64_t b = begin; candidates > 0 && b < stop; b++)
-            sort_bundle(s, s->first + b, candidates, &worker, counts);
+            sort_bundle(s, s->first + b, candidates, worker);
     }
-    return status;
-}
-
-static int run_segments(struct sorting *s)
-{
-    uint64_t segments = (s->count + s->segment_bundles - 1) / s->segment_bundles;
-    return bsq_parallel_for(s->exact->ctx, segments, sort_segment, s);
+    return 0;
 }
 
 /* ---- counting sort ---- */
 
-static int count_pairs(struct sorting *s)
+/* Lists the pairs of as many bundles as fit the buckets, which have space for one: halves their
+ * count until they do. What is left of runs gets the number after the last chunk. */
+static int list_pairs(struct sorting *s, uint64_t capacity)
 {
-    const uint64_t groups = (s->count + EXACT_SORTED - 1) / EXACT_SORTED;
-    s->segment_bundles = (groups + s->segments - 1) / s->segments * EXACT_SORTED;
-    s->writing = false;
-    memset(s->counts, 0, (uint64_t)s->segments * s->exact->chunk_count * sizeof *s->counts);
-    return run_segments(s);
-}
-
-/* Turns counts into places within the buckets, and sets the buckets' starts. Returns the number of
- * pairs. */
-static uint64_t sum_counts(struct sorting *s)
-{
-    const uint32_t chunks = s->exact->chunk_count;
-    uint64_t sum = 0;
-    for (uint32_t c = 0; c < chunks; c++) {
-        uint32_t in_chunk = 0;
-        s->buckets->starts[c] = sum;
-        for (uint32_t segment = 0; segment < s->segments; segment++) {
-            uint32_t *count = &s->counts[(uint64_t)segment * chunks + c], here = *count;
-            *count = in_chunk;
-            in_chunk += here;
-        }
-        sum += in_chunk;
-    }
-    s->buckets->starts[chunks] = sum;
-    return sum;
-}
-
-/* Sorts as many bundles as fit the buckets, which have space for one: halves their count until they
- * do. */
-static int sort_rays(struct sorting *s)
-{
-    for (;;) {
-        BSQ_PASS(count_pairs(s));
-        uint64_t pairs = sum_counts(s);
-        if (pairs <= s->buckets->capacity)
+    struct bsq_ctx *ctx = s->exact->ctx;
+    for (;; s->count /= 2) {
+        uint64_t unused = 0;
+        atomic_store(&s->used, 0);
+        for (unsigned w = 0; w < bsq_threads(ctx); w++)
+            s->workers[w].at = s->workers[w].end = 0;
+        BSQ_PASS(bsq_parallel_ranges(ctx, s->count, SORTED_AT_ONCE, sort_bundles, s));
+        for (unsigned w = 0; w < bsq_threads(ctx); w++)
+            unused += s->workers[w].end - s->workers[w].at;
+        if (atomic_load(&s->used) <= s->space && atomic_load(&s->used) - unused <= capacity)
             break;
         assert(s->count > 1);
-        s->count = s->count / 2;
     }
-    s->writing = true;
-    return run_segments(s);
+    for (unsigned w = 0; w < bsq_threads(ctx); w++)
+        for (uint64_t i = s->workers[w].at; i < s->workers[w].end; i++)
+            s->pairs[i].chunk = s->exact->chunk_count;
+    return 0;
+}
+
+static void fill_buckets(const struct sorting *s, struct exact_buckets *buckets)
+{
+    const uint32_t chunks = s->exact->chunk_count;
+    memset(buckets->starts, 0, (chunks + UINT64_C(1)) * sizeof *buckets->starts);
+    for (uint64_t i = 0; i < s->used; i++)
+        buckets->starts[s->pairs[i].chunk]++;
+    buckets->starts[chunks] = 0;
+    for (uint32_t c = 1; c <= chunks; c++)
+        buckets->starts[c] += buckets->starts[c - 1];
+    for (uint64_t i = s->used; i-- > 0;)
+        if (s->pairs[i].chunk < chunks)
+            buckets->bundles[--buckets->starts[s->pairs[i].chunk]] = s->pairs[i].bundle;
 }
 
 int bake_exact_sort_rays(const struct bake_exact *exact, const struct bake_ray_batch *batch,
@@ -247,18 +192,23 @@ int bake_exact_sort_rays(const struct bake_exact *exact, const struct bake_ray_b
                         .batch = batch,
                         .first = first,
                         .count = *count,
-                        .segments = segments_of(exact),
-                        .buckets = buckets};
+                        .space = buckets->capacity + (uint64_t)threads * RUN};
     int status = 0;
-    BSQ_TRY(bsq_alloc(ctx, "counts of rays", s.segments, exact->chunk_count * sizeof *s.counts,
-                      &s.counts));
+    BSQ_TRY(BSQ_ALLOC(ctx, "rays by chunk", s.space, &s.pairs));
+    BSQ_TRY(BSQ_CALLOC(ctx, "chunks near rays", threads, &s.workers));
     BSQ_TRY(bsq_alloc(ctx, "chunks near rays", threads, number_count(exact) * sizeof *s.numbers,
                       &s.numbers));
     BSQ_TRY(
         bsq_alloc(ctx, "chunks near rays", threads, box8_count(exact) * sizeof *s.boxes, &s.boxes));
-    BSQ_TRY(sort_rays(&s));
+    for (unsigned w = 0; w < threads; w++)
+        s.workers[w] =
+            (struct worker){.candidates = s.numbers + w * number_count(exact),
+                            .crossed = s.numbers + w * number_count(exact) + exact->chunk_count,
+                            .boxes = s.boxes + w * box8_count(exact)};
+    BSQ_TRY(list_pairs(&s, buckets->capacity));
+    fill_buckets(&s, buckets);
 done:
-    BSQ_FREE(ctx, s.boxes, s.numbers, s.counts);
+    BSQ_FREE(ctx, s.boxes, s.numbers, s.workers, s.pairs);
     *count = s.count;
     return status;
 }

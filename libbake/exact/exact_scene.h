@@ -169,18 +169,17 @@ bool bake_exact_wound_backwards(const struct fmt_tris_chunk *chunk, uint32_t tri
 
 /* ---- rays by chunk ---- */
 
-/* Bundles for which candidate chunks are looked up together. */
-enum { EXACT_SORTED = 4 };
-
 /* The bundles of rays that cross each chunk: those of chunk c are entries starts[c] to
- * starts[c + 1] - 1, ascending. */
+ * starts[c + 1] - 1, in any order. */
 struct exact_buckets {
     uint32_t *bundles;
     uint16_t *found; /* of each entry: bit i: tracing took a hit for ray i of the bundle */
     uint64_t capacity;
-    uint64_t *starts;         /* chunk_count + 1 */
-    struct exact_box *around; /* what the rays of each EXACT_SORTED bundles cross */
+    uint64_t *starts; /* chunk_count + 1 */
 };
+
+/* Bytes of an entry, with those for sorting it. */
+enum { EXACT_ENTRY_BYTES = 3 * sizeof(uint32_t) + sizeof(uint16_t) };
 
 /* Returns the number of bundles that a number of rays is. */
 static inline uint64_t exact_bundles(uint64_t rays)

@@ -57,8 +57,7 @@ static struct slot_counts slots_count(const struct bake_exact *exact, uint32_t m
     return counts;
 }
 
-/* Bytes of an entry of the buckets, and of a ray's share in these. */
-enum { BUCKET_BYTES = sizeof(uint32_t) + sizeof(uint16_t), BUCKET_BYTES_A_RAY = BUCKET_BYTES / 2 };
+enum { BUCKET_BYTES_A_RAY = EXACT_ENTRY_BYTES / 2 };
 
 /* Returns the bytes of a ray of a batch, with its hit. */
 static uint64_t ray_bytes(const struct bake_exact *exact)
@@ -75,7 +74,7 @@ uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes
     const uint64_t fixed = slots_count(exact, exact_wave_slots(exact), threads, left / 4).bytes +
                            bake_exact_buckets_scratch_bytes(exact) +
                            (exact->chunk_count + 1) * sizeof(uint64_t) +
-                           (exact_bucket_entries(exact, 0) + BAKE_RAY_BUNDLE) * BUCKET_BYTES +
+                           (exact_bucket_entries(exact, 0) + BAKE_RAY_BUNDLE) * EXACT_ENTRY_BYTES +
                            EXACT_LOCKS * sizeof(pthread_mutex_t);
     const uint64_t ray = ray_bytes(exact) + more_bytes;
     /* An eighth is left to other parts of the job. */

@@ -334,8 +334,6 @@ static int trace_allocate(struct wave *wave, struct exact_buckets *buckets)
     BSQ_PASS(BSQ_ALLOC(ctx, "rays by chunk", buckets->capacity, &buckets->bundles));
     BSQ_PASS(BSQ_ALLOC(ctx, "rays by chunk", buckets->capacity, &buckets->found));
     BSQ_PASS(BSQ_ALLOC(ctx, "rays by chunk", (uint64_t)chunks + 1, &buckets->starts));
-    BSQ_PASS(
-        BSQ_ALLOC(ctx, "rays by chunk", exact_bundles(rays) / EXACT_SORTED + 1, &buckets->around));
     BSQ_PASS(BSQ_ALLOC(ctx, "locks", EXACT_LOCKS, &wave->locks));
     for (int i = 0; i < EXACT_LOCKS; i++)
         pthread_mutex_init(&wave->locks[i], NULL);
@@ -392,8 +390,7 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_ray_batch *batc
 done:
     for (int i = 0; wave.locks && i < EXACT_LOCKS; i++)
         pthread_mutex_destroy(&wave.locks[i]);
-    BSQ_FREE(ctx, wave.locks, wave.blocks, buckets.bundles, buckets.found, buckets.starts,
-             buckets.around);
+    BSQ_FREE(ctx, wave.locks, wave.blocks, buckets.bundles, buckets.found, buckets.starts);
     bake_exact_slots_free(ctx, &own.slots);
     return status;
 }

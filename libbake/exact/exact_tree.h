@@ -57,6 +57,24 @@ LANES_INLINE void exact_node_set(struct exact_box8 *node, four_floats low[8], fo
     }
 }
 
+/* Puts box number i into a list of boxes by eights. */
+static inline void exact_box8_put(struct exact_box8 *boxes, uint32_t i, const float low[3],
+                                  const float high[3])
+{
+    for (int k = 0; k < 3; k++) {
+        boxes[i / 8].planes[0][k][i % 8] = low[k];
+        boxes[i / 8].planes[1][k][i % 8] = high[k];
+    }
+}
+
+/* Ends a list of `count` boxes by eights with empty ones. */
+static inline void exact_box8_end(struct exact_box8 *boxes, uint32_t count)
+{
+    const struct exact_box none = EXACT_EMPTY_BOX;
+    for (; count % 8 != 0; count++)
+        exact_box8_put(boxes, count, none.low, none.high);
+}
+
 struct exact_tree {
     struct exact_box8 *nodes; /* by level, from the leaves to the root; box 8 k + c is child c of
                                  leaf node k */

@@ -239,11 +239,7 @@ static void find_runs(const struct exact_slot *slot, const struct beam *beam, st
             stack[depth++] = (struct exact_entry){0, top.level - 1,
                                                   8 * top.node + (uint32_t)__builtin_ctz(bits)};
     }
-    for (uint32_t i = runs->count; i % 8 != 0; i++)
-        for (int k = 0; k < 3; k++) {
-            runs->boxes[i / 8].planes[0][k][i % 8] = INFINITY;
-            runs->boxes[i / 8].planes[1][k][i % 8] = -INFINITY;
-        }
+    exact_box8_end(runs->boxes, runs->count);
 }
 
 static void try_listed(struct trace *trace, struct runs *runs, uint32_t i)
