@@ -34,15 +34,13 @@ struct listing {
 static void list_device(void *arg, const struct bake_device_info *device)
 {
     struct listing *list = arg;
-    char memory[CLI_TEXT];
     if (list->cli->json)
         cli_json_append(&list->json,
                         json_pack("{s:o, s:o, s:I, s:b}", "id", cli_json_text(device->id), "name",
                                   cli_json_text(device->name), CLI_COUNT(device, memory_bytes),
                                   "is_gpu", (int)device->is_gpu));
     else
-        cli_print("%-10s  %s, %s\n", device->id, device->name,
-                  cli_size_text(device->memory_bytes, memory));
+        cli_print("%-10s  %s, %s\n", device->id, device->name, cli_size(device->memory_bytes).text);
 }
 
 int bake_report_devices(struct cli *cli)
@@ -121,23 +119,22 @@ static bool has_sets(const struct bake_report *report)
 static void print_coverage(const struct bake_arguments *arguments, const struct bake_report *report)
 {
     const bool sets = has_sets(report);
-    char triangles[CLI_TEXT], texels[CLI_TEXT], tiles[CLI_TEXT];
+    const struct cli_text texels = cli_count(report->covered_texels);
     cli_print("%s", arguments->bake.mesh_path);
     if (arguments->bake.more_mesh_count > 0)
         cli_print(" and %u more", arguments->bake.more_mesh_count);
-    cli_print(": %s, ",
-              cli_counted_text(report->low_triangles, "triangle", "triangles", triangles));
-    cli_count_text(report->covered_texels, texels);
+    cli_print(": %s, ", cli_counted(report->low_triangles, "triangle", "triangles").text);
     if (report->tile_count == 1)
-        cli_print("%s of %ux%u texels covered\n", texels, report->tiles[0].width,
+        cli_print("%s of %ux%u texels covered\n", texels.text, report->tiles[0].width,
                   report->tiles[0].height);
     else
-        cli_print("%s texels covered in %s\n", texels,
-                  cli_counted_text(report->tile_count, sets ? "file of a map" : "tile",
-                                   sets ? "files of a map" : "tiles", tiles));
+        cli_print("%s texels covered in %s\n", texels.text,
+                  cli_counted(report->tile_count, sets ? "file of a map" : "tile",
+                              sets ? "files of a map" : "tiles")
+                      .text);
     if (report->low_polygons > 0)
         cli_print("%s became triangles: cut them before export, so that others cut them alike\n",
-                  cli_counted_text(report->low_polygons, "polygon", "polygons", triangles));
+                  cli_counted(report->low_polygons, "polygon", "polygons").text);
 }
 
 /* Prints how much of the scan no ray reached, and what that may be if it is much. parts: of a bake
@@ -185,7 +182,6 @@ static int bake_report_text(const struct cli *cli, const struct bake_arguments *
                             struct bake_report *report)
 {
     const struct bake_options *bake = &arguments->bake;
-    char samples[CLI_TEXT], misses[CLI_TEXT];
     print_coverage(arguments, report);
     const char *first = "left out: ";
     const char *next =
@@ -202,8 +198,8 @@ static int bake_report_text(const struct cli *cli, const struct bake_arguments *
     if (bake->more_scan_count > 0)
         cli_print(" and %u more", bake->more_scan_count);
     cli_print(": %s, %s without surface (%.2f %%), %g in front, %g behind, on %s\n",
-              cli_counted_text(report->samples, "sample", "samples", samples),
-              cli_count_text(report->misses, misses), percent(report->misses, report->samples),
+              cli_counted(report->samples, "sample", "samples").text,
+              cli_count(report->misses).text, percent(report->misses, report->samples),
               report->front, report->back, report->device);
     print_voxels(report);
     print_unseen(report, bake->parts > 0);
@@ -221,12 +217,11 @@ static int bake_report_text(const struct cli *cli, const struct bake_arguments *
         report->seconds_resolve, report->seconds_write, report->seconds_preview);
     if (report->kernel_calls > 0)
         cli_print("device: upload %.2f, kernels %.3f in %s, copies %.3f\n", report->seconds_upload,
-                  report->seconds_kernels,
-                  cli_counted_text(report->kernel_calls, "call", "calls", samples),
+                  report->seconds_kernels, cli_counted(report->kernel_calls, "call", "calls").text,
                   report->seconds_copies);
     if (report->chunk_loads > 0)
         cli_print("scan: %s\n",
-                  cli_counted_text(report->chunk_loads, "chunk loaded", "chunks loaded", samples));
+                  cli_counted(report->chunk_loads, "chunk loaded", "chunks loaded").text);
     cli_print_cost(cli);
     return 0;
 }
@@ -452,7 +447,7 @@ int bake_report_print_part(struct cli *cli, const struct bake_arguments *argumen
                            const struct bake_report *report)
 {
     const struct bake_options *bake = &arguments->bake;
-    char part[CLI_TEXT], samples[CLI_TEXT], misses[CLI_TEXT];
+    char part[CLI_TEXT];
     snprintf(part, sizeof part, "part %u/%u", bake->part, bake->parts);
     if (report->done)
         return cli_say_kept(cli, bake->output_path, part);
@@ -465,8 +460,8 @@ int bake_report_print_part(struct cli *cli, const struct bake_arguments *argumen
                            CLI_COUNT(report, hits), CLI_COUNT(report, misses),
                            CLI_VALUE(report, front), CLI_VALUE(report, back)));
     cli_print("%s: %s, %s, %s without surface", bake->output_path, part,
-              cli_counted_text(report->samples, "sample", "samples", samples),
-              cli_count_text(report->misses, misses));
+              cli_counted(report->samples, "sample", "samples").text,
+              cli_count(report->misses).text);
     if (report->device[0])
         cli_print(", on %s", report->device);
     putchar('\n');
@@ -492,14 +487,13 @@ static void say_expected(struct cli *cli, const char *stage)
     const struct bake_report *report = (const struct bake_report *)cli->watched;
     const unsigned threads = bsq_threads(cli->ctx);
     const double seconds = report->expected_seconds / threads;
-    char rays[CLI_TEXT], count[CLI_TEXT];
     if (strcmp(stage, "tracing") != 0 || seconds < LEAST_SECONDS)
         return;
     cli->on_stage = NULL; /* once, not for each UDIM tile */
     cli_clear_bar(cli);
     fprintf(stderr, "%s: %s, about %.0f:%02.0f with %s\n", cli->program,
-            cli_counted_text(report->expected_rays, "ray", "rays", rays), floor(seconds / 60),
-            floor(fmod(seconds, 60)), cli_counted_text(threads, "thread", "threads", count));
+            cli_counted(report->expected_rays, "ray", "rays").text, floor(seconds / 60),
+            floor(fmod(seconds, 60)), cli_counted(threads, "thread", "threads").text);
 }
 
 void bake_report_watch(struct cli *cli, const struct bake_report *report)

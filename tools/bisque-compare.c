@@ -137,7 +137,6 @@ static int count_failures(struct cli *cli, const struct arguments *arguments,
                           const struct bake_compare_report *report)
 {
     const bool spoiled = report->not_finite > 0 && !arguments->compare.ignore_nan;
-    char texels[CLI_TEXT];
     int failures = 0;
     for (int i = 0; i < LIMITS; i++) {
         double limit = arguments->limits[i], value;
@@ -151,7 +150,7 @@ static int count_failures(struct cli *cli, const struct arguments *arguments,
     }
     if (spoiled && failures > 0)
         fprintf(stderr, "%s: %s NaN or infinite: outside of every limit\n", cli->program,
-                cli_counted_text(report->not_finite, "texel is", "texels are", texels));
+                cli_counted(report->not_finite, "texel is", "texels are").text);
     return failures;
 }
 
@@ -159,11 +158,9 @@ static void compare_tool_print_report(const struct arguments *arguments,
                                       const struct bake_compare_report *report)
 {
     const char *unit = bake_compare_unit(report->kind);
-    char compared[CLI_TEXT];
     cli_print("%s against %s: %s of %ux%u compared as %s\n", arguments->compare.a_path,
-              arguments->compare.b_path,
-              cli_counted_text(report->compared, "texel", "texels", compared), report->width,
-              report->height, page_kind_name(report->kind));
+              arguments->compare.b_path, cli_counted(report->compared, "texel", "texels").text,
+              report->width, report->height, page_kind_name(report->kind));
     cli_print("%s: mean %.4g, rms %.4g, median %.4g, p95 %.4g, p99 %.4g, max %.4g at %u,%u\n", unit,
               report->mean, report->rms, report->median, report->p95, report->p99, report->max,
               report->max_x, report->max_y);
@@ -176,7 +173,7 @@ static void compare_tool_print_report(const struct arguments *arguments,
         cli_print("relative: mean %.4g, max %.4g\n", report->relative_mean, report->relative_max);
     if (report->not_finite > 0)
         cli_print("NaN or infinite: %s (%llu in A, %llu in B)\n",
-                  cli_counted_text(report->not_finite, "texel", "texels", compared),
+                  cli_counted(report->not_finite, "texel", "texels").text,
                   (unsigned long long)report->not_finite_a,
                   (unsigned long long)report->not_finite_b);
     if (has_agreement(&arguments->compare))

@@ -183,20 +183,20 @@ static void warn_of_targets(struct cli *cli, const struct arguments *arguments,
 static void simplify_tool_print_report(const struct cli *cli, const struct arguments *arguments,
                                        const struct vox_simplify_report *report)
 {
-    char text[CLI_TEXT], more[CLI_TEXT];
     cli_print("scan: %s, diagonal %g\n",
-              cli_counted_text(report->triangles, "triangle", "triangles", text), report->diagonal);
+              cli_counted(report->triangles, "triangle", "triangles").text, report->diagonal);
     if (report->dropped_pieces > 0)
         cli_print("left out: %s\n",
-                  cli_counted_text(report->dropped_pieces, "small piece", "small pieces", text));
+                  cli_counted(report->dropped_pieces, "small piece", "small pieces").text);
     if (report->cut_handles > 0)
-        cli_print("cut: %s\n", cli_counted_text(report->cut_handles, "narrow handle or neck",
-                                                "narrow handles or necks", text));
+        cli_print("cut: %s\n", cli_counted(report->cut_handles, "narrow handle or neck",
+                                           "narrow handles or necks")
+                                   .text);
     for (uint32_t i = 0; i < report->level_count; i++) {
         const struct vox_simplified *level = &report->levels[i];
         cli_print("%s: %s, %s\n", arguments->paths[i],
-                  cli_counted_text(level->triangles, "triangle", "triangles", text),
-                  cli_counted_text(level->vertices, "vertex", "vertices", more));
+                  cli_counted(level->triangles, "triangle", "triangles").text,
+                  cli_counted(level->vertices, "vertex", "vertices").text);
         cli_print_distances("from the scan", &level->from_scan);
         cli_print_distances("to the scan", &level->from_mesh);
     }

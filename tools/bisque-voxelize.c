@@ -83,11 +83,10 @@ static int check_memory(struct cli *cli)
 {
     uint64_t least = vox_memory_min(bsq_threads(cli->ctx));
     uint64_t least_mib = (least + (1 << 20) - 1) >> 20;
-    char limit[CLI_TEXT];
     if (bsq_memory_limit(cli->ctx) >= least)
         return 0;
     return bsq_fail(cli->ctx, BSQ_ENOMEM, "--memory: %s is too small, %u thread%s at least %lluMiB",
-                    cli_size_text(bsq_memory_limit(cli->ctx), limit), bsq_threads(cli->ctx),
+                    cli_size(bsq_memory_limit(cli->ctx)).text, bsq_threads(cli->ctx),
                     bsq_threads(cli->ctx) == 1 ? " needs" : "s need",
                     (unsigned long long)least_mib);
 }

@@ -197,13 +197,14 @@ void cli_print(const char *format, ...) __attribute__((format(printf, 1, 2)));
 
 double cli_seconds(const struct timespec *since);
 
-/* Write "12.3 MiB", "1,234,567", and "1 vertex" or "12 vertices" to `buffer` of CLI_TEXT bytes, and
- * return it. */
+/* Return "12.3 MiB", "1,234,567", and "1 vertex" or "12 vertices". */
 enum { CLI_TEXT = 64 };
-const char *cli_size_text(uint64_t bytes, char *buffer);
-const char *cli_count_text(uint64_t count, char *buffer);
-const char *cli_counted_text(uint64_t count, const char *singular, const char *plural,
-                             char *buffer);
+struct cli_text {
+    char text[CLI_TEXT];
+};
+struct cli_text cli_size(uint64_t bytes);
+struct cli_text cli_count(uint64_t count);
+struct cli_text cli_counted(uint64_t count, const char *singular, const char *plural);
 
 /* Prints `separator` and, for example, "12 unused vertices" if count > 0. Returns the separator for
  * the next count. */

@@ -28,43 +28,44 @@ static int terminal_columns(void)
     return DEFAULT_COLUMNS;
 }
 
-/* Writes "12.3 MiB" for bytes, "12.3 M" for other units. */
-static void format_amount(const char *unit, uint64_t amount, char *buffer)
+/* Returns "12.3 MiB" for bytes, "12.3 M" for other units. */
+static struct cli_text format_amount(const char *unit, uint64_t amount)
 {
-    if (strcmp(unit, "bytes") == 0) {
-        cli_size_text(amount, buffer);
-        return;
-    }
     static const char *const prefixes[] = {"", " k", " M", " G", " T"};
+    struct cli_text out;
     double value = (double)amount;
+    if (strcmp(unit, "bytes") == 0)
+        return cli_size(amount);
     unsigned i = 0;
     for (; value >= 999.5 && i < 4; i++)
         value /= 1000;
-    snprintf(buffer, CLI_TEXT, i == 0 ? "%.0f%s" : "%.1f%s", value, prefixes[i]);
+    snprintf(out.text, CLI_TEXT, i == 0 ? "%.0f%s" : "%.1f%s", value, prefixes[i]);
+    return out;
 }
 
-static void format_remaining(const struct cli *cli, const struct bsq_progress *progress,
-                             char *buffer, size_t size)
+/* Returns "  1:23 left", or nothing if that is not known. */
+static struct cli_text format_remaining(const struct cli *cli, const struct bsq_progress *progress)
 {
+    struct cli_text out = {""};
     double elapsed = cli_seconds(&cli->stage_started);
-    buffer[0] = '\0';
     if (elapsed < 2 || progress->done == 0 || progress->done > progress->total)
-        return;
+        return out;
     double left = elapsed * (double)(progress->total - progress->done) / (double)progress->done;
     unsigned long seconds = left < 1e8 ? (unsigned long)left : 99999999;
     if (seconds >= 3600)
-        snprintf(buffer, size, "  %lu:%02lu:%02lu left", seconds / 3600, seconds / 60 % 60,
+        snprintf(out.text, CLI_TEXT, "  %lu:%02lu:%02lu left", seconds / 3600, seconds / 60 % 60,
                  seconds % 60);
     else
-        snprintf(buffer, size, "  %lu:%02lu left", seconds / 60, seconds % 60);
+        snprintf(out.text, CLI_TEXT, "  %lu:%02lu left", seconds / 60, seconds % 60);
+    return out;
 }
 
 static void draw_bar(struct cli *cli, const struct bsq_progress *progress)
 {
-    char line[512], done[CLI_TEXT], total[CLI_TEXT], remaining[CLI_TEXT], cells[BAR_CELLS + 1];
+    char line[512], cells[BAR_CELLS + 1];
     bool bytes = strcmp(progress->unit, "bytes") == 0;
     const char *unit = bytes ? "" : progress->unit, *space = bytes ? "" : " ";
-    format_amount(progress->unit, progress->done, done);
+    const struct cli_text done = format_amount(progress->unit, progress->done);
     if (progress->total > 0) {
         double fraction = (double)progress->done / (double)progress->total;
         fraction = fraction > 1 ? 1 : fraction;
@@ -72,12 +73,11 @@ static void draw_bar(struct cli *cli, const struct bsq_progress *progress)
         memset(cells, '=', filled);
         memset(cells + filled, ' ', BAR_CELLS - filled);
         cells[BAR_CELLS] = '\0';
-        format_amount(progress->unit, progress->total, total);
-        format_remaining(cli, progress, remaining, sizeof remaining);
         snprintf(line, sizeof line, "%-11s [%s] %3.0f %%  %s of %s%s%s%s", progress->stage, cells,
-                 fraction * 100, done, total, space, unit, remaining);
+                 fraction * 100, done.text, format_amount(progress->unit, progress->total).text,
+                 space, unit, format_remaining(cli, progress).text);
     } else {
-        snprintf(line, sizeof line, "%-11s %s%s%s", progress->stage, done, space, unit);
+        snprintf(line, sizeof line, "%-11s %s%s%s", progress->stage, done.text, space, unit);
     }
     fprintf(stderr, "\r%.*s\033[K", terminal_columns() - 1, line);
     cli->bar_drawn = true;
@@ -86,19 +86,17 @@ static void draw_bar(struct cli *cli, const struct bsq_progress *progress)
 /* Prints a line if none was printed for LOG_SECONDS. */
 static void log_line(struct cli *cli, const struct bsq_progress *progress)
 {
-    char done[CLI_TEXT], remaining[CLI_TEXT] = "";
     if (cli_seconds(&cli->logged) < LOG_SECONDS)
         return;
     clock_gettime(CLOCK_MONOTONIC, &cli->logged);
-    format_amount(progress->unit, progress->done, done);
-    if (progress->total > 0) {
-        snprintf(done, sizeof done, "%.0f %%",
-                 100 * fmin((double)progress->done / (double)progress->total, 1));
-        format_remaining(cli, progress, remaining, sizeof remaining);
-    }
-    fprintf(stderr, "%s: %s: %s%s%s\n", cli->program, progress->stage, done,
-            progress->total > 0 || strcmp(progress->unit, "bytes") == 0 ? "" : progress->unit,
-            remaining);
+    if (progress->total > 0)
+        fprintf(stderr, "%s: %s: %.0f %%%s\n", cli->program, progress->stage,
+                100 * fmin((double)progress->done / (double)progress->total, 1),
+                format_remaining(cli, progress).text);
+    else
+        fprintf(stderr, "%s: %s: %s%s\n", cli->program, progress->stage,
+                format_amount(progress->unit, progress->done).text,
+                strcmp(progress->unit, "bytes") == 0 ? "" : progress->unit);
 }
 
 static void print_json_line(const struct bsq_progress *progress)

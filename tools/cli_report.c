@@ -41,56 +41,54 @@ static uint64_t max_rss_bytes(void)
     return getrusage(RUSAGE_SELF, &usage) == 0 ? (uint64_t)usage.ru_maxrss * 1024 : 0;
 }
 
-const char *cli_size_text(uint64_t bytes, char *buffer)
+struct cli_text cli_size(uint64_t bytes)
 {
+    struct cli_text out;
     static const char *const units[] = {"B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB"};
     double value = (double)bytes;
     unsigned i = 0;
     for (; value >= 1023.95 && i < 6; i++)
         value /= 1024;
-    snprintf(buffer, CLI_TEXT, i == 0 ? "%.0f %s" : "%.1f %s", value, units[i]);
-    return buffer;
+    snprintf(out.text, CLI_TEXT, i == 0 ? "%.0f %s" : "%.1f %s", value, units[i]);
+    return out;
 }
 
-const char *cli_count_text(uint64_t count, char *buffer)
+struct cli_text cli_count(uint64_t count)
 {
-    char digits[24];
+    struct cli_text out;
+    char digits[24], *to = out.text;
     int length = snprintf(digits, sizeof digits, "%llu", (unsigned long long)count);
-    char *to = buffer;
     for (int i = 0; i < length; i++) {
         if (i > 0 && (length - i) % 3 == 0)
             *to++ = ',';
         *to++ = digits[i];
     }
     *to = '\0';
-    return buffer;
+    return out;
 }
 
-const char *cli_counted_text(uint64_t count, const char *singular, const char *plural, char *buffer)
+struct cli_text cli_counted(uint64_t count, const char *singular, const char *plural)
 {
-    char digits[CLI_TEXT];
-    snprintf(buffer, CLI_TEXT, "%s %s", cli_count_text(count, digits),
-             count == 1 ? singular : plural);
-    return buffer;
+    struct cli_text out = cli_count(count);
+    const size_t length = strlen(out.text);
+    snprintf(out.text + length, CLI_TEXT - length, " %s", count == 1 ? singular : plural);
+    return out;
 }
 
 const char *cli_print_count(const char *separator, uint64_t count, const char *singular,
                             const char *plural)
 {
-    char text[CLI_TEXT];
     if (count == 0)
         return separator;
-    cli_print("%s%s %s", separator, cli_count_text(count, text), count == 1 ? singular : plural);
+    cli_print("%s%s", separator, cli_counted(count, singular, plural).text);
     return ", ";
 }
 
 void cli_print_cost(const struct cli *cli)
 {
-    char high[CLI_TEXT], limit[CLI_TEXT], resident[CLI_TEXT];
     cli_print("memory: %s of a budget of %s (resident at most %s)\n",
-              cli_size_text(bsq_memory_high(cli->ctx), high),
-              cli_size_text(bsq_memory_limit(cli->ctx), limit),
-              cli_size_text(max_rss_bytes(), resident));
+              cli_size(bsq_memory_high(cli->ctx)).text, cli_size(bsq_memory_limit(cli->ctx)).text,
+              cli_size(max_rss_bytes()).text);
     cli_print("time: %.2f s\n", cli_seconds(&cli->started));
 }
 
@@ -240,20 +238,19 @@ json_t *cli_distances_json(const struct vox_distances *d)
 
 static void print_content(const char *path, const struct fmt_verify_report *r)
 {
-    char triangles[CLI_TEXT], parts[CLI_TEXT], more[CLI_TEXT], size[CLI_TEXT];
-    cli_counted_text(r->triangles, "triangle", "triangles", triangles);
-    cli_size_text(r->file_bytes, size);
+    const struct cli_text triangles = cli_counted(r->triangles, "triangle", "triangles");
+    const struct cli_text size = cli_size(r->file_bytes);
     if (r->kind == FMT_KIND_TRIS)
         cli_print("%s: ok (chunk file of version %u: %s and %s in %s, %s)\n", path, r->version,
-                  triangles, cli_counted_text(r->vertices, "vertex", "vertices", more),
-                  cli_counted_text(r->chunks, "chunk", "chunks", parts), size);
+                  triangles.text, cli_counted(r->vertices, "vertex", "vertices").text,
+                  cli_counted(r->chunks, "chunk", "chunks").text, size.text);
     else
         cli_print(
             "%s: ok (surface grid of version %u, NanoVDB %u.%u.%u %s: %s and %s of %s%s, %s)\n",
             path, r->version, r->nanovdb_version[0], r->nanovdb_version[1], r->nanovdb_version[2],
-            r->is_mask ? "mask" : "onindex", cli_counted_text(r->voxels, "voxel", "voxels", parts),
-            cli_counted_text(r->second_records, "second record", "second records", more), triangles,
-            r->has_color ? ", with colour" : "", size);
+            r->is_mask ? "mask" : "onindex", cli_counted(r->voxels, "voxel", "voxels").text,
+            cli_counted(r->second_records, "second record", "second records").text, triangles.text,
+            r->has_color ? ", with colour" : "", size.text);
 }
 
 static json_t *content_json(const char *path, const struct fmt_verify_report *r)

@@ -374,13 +374,12 @@ static void print_members(const json_t *object)
 
 static void print_value(const json_t *value)
 {
-    char text[CLI_TEXT];
     if (json_is_array(value)) {
         print_list(value);
     } else if (json_is_string(value)) {
         cli_print("%s", json_string_value(value));
     } else if (json_is_integer(value)) {
-        cli_print("%s", cli_count_text((uint64_t)json_integer_value(value), text));
+        cli_print("%s", cli_count((uint64_t)json_integer_value(value)).text);
     } else if (json_is_real(value)) {
         cli_print("%.7g", json_real_value(value));
     } else if (json_is_boolean(value)) {

@@ -14,13 +14,11 @@ static void print_meshes(const struct voxelize_job *job)
 static void print_read(const struct voxelize_job *job)
 {
     const struct vox_sort_report *sort = &job->sort;
-    char vertices[CLI_TEXT], faces[CLI_TEXT], triangles[CLI_TEXT], size[CLI_TEXT];
     print_meshes(job);
-    cli_print("%s, %s, %s, %s, %.2f s\n",
-              cli_counted_text(sort->vertices, "vertex", "vertices", vertices),
-              cli_counted_text(sort->faces, "face", "faces", faces),
-              cli_counted_text(sort->triangles, "triangle", "triangles", triangles),
-              cli_size_text(sort->bytes_read, size), sort->seconds_read);
+    cli_print("%s, %s, %s, %s, %.2f s\n", cli_counted(sort->vertices, "vertex", "vertices").text,
+              cli_counted(sort->faces, "face", "faces").text,
+              cli_counted(sort->triangles, "triangle", "triangles").text,
+              cli_size(sort->bytes_read).text, sort->seconds_read);
     const char *first = "left out: ";
     const char *next = cli_print_count(first, sort->degenerate_triangles, "degenerate triangle",
                                        "degenerate triangles");
@@ -70,11 +68,10 @@ static void print_kept(const struct voxelize_job *job)
 
 static void print_tris(const struct voxelize_job *job)
 {
-    char size[CLI_TEXT], chunks[CLI_TEXT];
     if (job->joins || (job->scans.mesh_count > 0 && !job->temporary_tris))
         cli_print("%s: %s, %s, %.2f s\n", job->tris_path,
-                  cli_counted_text(job->sort.chunks, "chunk", "chunks", chunks),
-                  cli_size_text(job->sort.tris_bytes, size), job->sort.seconds_sort);
+                  cli_counted(job->sort.chunks, "chunk", "chunks").text,
+                  cli_size(job->sort.tris_bytes).text, job->sort.seconds_sort);
     if (job->scans.mesh_count > 0 && !job->temporary_tris && job->sort.outer_texture[0])
         cli_print("%s needs its textures where they are now, such as %s%s\n", job->tris_path,
                   job->sort.outer_texture,
@@ -85,13 +82,12 @@ static void print_tris(const struct voxelize_job *job)
 static void print_grid(const struct vox_voxelize_options *options,
                        const struct vox_voxelize_report *grid)
 {
-    char voxels[CLI_TEXT], size[CLI_TEXT];
     cli_print("%s: %s in %lld x %lld x %lld, voxel size %g, %s%s%s, %.2f s\n", options->grid_path,
-              cli_counted_text(grid->voxels, "voxel", "voxels", voxels),
+              cli_counted(grid->voxels, "voxel", "voxels").text,
               (long long)grid->index_max[0] - grid->index_min[0] + 1,
               (long long)grid->index_max[1] - grid->index_min[1] + 1,
               (long long)grid->index_max[2] - grid->index_min[2] + 1, grid->voxel_size,
-              cli_size_text(grid->grid_bytes, size),
+              cli_size(grid->grid_bytes).text,
               grid->rounds_colors ? ", with colour in 8 bits, of more"
               : grid->has_color   ? ", with colour"
                                   : "",
@@ -167,7 +163,6 @@ static int voxelize_report_print_json(const struct voxelize_job *job)
 static void warn_of_stray_parts(const struct voxelize_job *job)
 {
     const struct vox_voxelize_report *grid = &job->grid;
-    char voxels[CLI_TEXT];
     int64_t side = 0;
     for (int a = 0; a < 3; a++) {
         int64_t length = (int64_t)grid->index_max[a] - grid->index_min[a] + 1;
@@ -177,8 +172,8 @@ static void warn_of_stray_parts(const struct voxelize_job *job)
         bsq_warn(job->cli->ctx,
                  "%s: only %s in a grid of %lld along the longest side: is there something far "
                  "away from the scan, or are its files in different units?",
-                 job->arguments->grid.grid_path,
-                 cli_counted_text(grid->voxels, "voxel", "voxels", voxels), (long long)side);
+                 job->arguments->grid.grid_path, cli_counted(grid->voxels, "voxel", "voxels").text,
+                 (long long)side);
 }
 
 int voxelize_report_print(const struct voxelize_job *job)
