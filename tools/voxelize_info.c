@@ -37,16 +37,16 @@ static json_t *box_json(const double min[3], const double max[3])
 
 /* Adds a text to an array that does not have it yet. Arrays are short, or their texts come in
  * groups, so only the last ones are compared. */
-static int add_once(json_t *array, const char *text)
+static void add_once(json_t **array, const char *text)
 {
     enum { COMPARED = 64 };
-    const size_t count = json_array_size(array);
+    const size_t count = json_array_size(*array);
     for (size_t i = count; i > 0 && count - i < COMPARED; i--) {
-        const char *other = json_string_value(json_array_get(array, i - 1));
+        const char *other = json_string_value(json_array_get(*array, i - 1));
         if (other && strcmp(other, text) == 0)
-            return 0;
+            return;
     }
-    return json_array_append_new(array, cli_json_text(text));
+    cli_json_append(array, cli_json_text(text));
 }
 
 /* ---- meshes ---- */
@@ -132,24 +132,20 @@ static json_t *channel_json(const struct fmt_material_channel *channel)
 }
 
 /* Describes a material. channels: collects the names of all channels. */
-static json_t *material_json(const struct fmt_material *m, uint64_t faces, json_t *channels)
+static json_t *material_json(const struct fmt_material *m, uint64_t faces, json_t **channels)
 {
     json_t *root =
         json_pack("{s:o, s:I}", "name", cli_json_text(m->name), "faces", (json_int_t)faces);
-    int failed = 0;
     if (m->color.texture_path || m->color.has_value)
-        failed |= json_object_set_new(root, "color", channel_json(&m->color));
+        cli_json_set(&root, "color", channel_json(&m->color));
     for (uint32_t c = 0; c < m->channel_count; c++) {
         const struct fmt_material_channel *channel = &m->channels[c];
         if (!channel->texture_path && !channel->has_value)
             continue;
-        failed |= json_object_set_new(root, channel->channel->name, channel_json(channel));
-        failed |= add_once(channels, channel->channel->name);
+        cli_json_set(&root, channel->channel->name, channel_json(channel));
+        add_once(channels, channel->channel->name);
     }
-    if (!failed)
-        return root;
-    json_decref(root);
-    return NULL;
+    return root;
 }
 
 /* Lists what bisque-voxelize keeps without options. With --channels all it keeps the channels too.
@@ -158,7 +154,6 @@ static json_t *kept_json(const struct survey *s, const json_t *materials)
 {
     json_t *kept = json_array();
     bool textures = false, colors = false;
-    int failed = 0;
     for (size_t i = 0; i < json_array_size(materials); i++) {
         const json_t *color = json_object_get(json_array_get(materials, i), "color");
         textures |= s->has_texcoords && json_is_true(json_object_get(color, "found"));
@@ -170,32 +165,27 @@ static json_t *kept_json(const struct survey *s, const json_t *materials)
                            colors && !s->has_colors ? "colours of materials" : NULL};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++)
         if (names[i])
-            failed |= add_once(kept, names[i]);
-    if (!failed)
-        return kept;
-    json_decref(kept);
-    return NULL;
+            add_once(&kept, names[i]);
+    return kept;
 }
 
-/* Describes the materials that faces use, and their objects. */
-static int describe_materials(const struct survey *s, const struct fmt_materials *found,
-                              json_t *root)
+/* Adds the materials that faces use, and their objects. */
+static void describe_materials(const struct survey *s, const struct fmt_materials *found,
+                               json_t **root)
 {
     json_t *materials = json_array(), *objects = json_array(), *channels = json_array();
-    int failed = 0;
     for (uint32_t i = 0; i < found->count; i++) {
         const struct fmt_material *m = &found->list[i];
         const uint64_t faces = i < s->material_count ? s->faces[i] : 0;
         if (faces > 0 && m->object && m->object[0])
-            failed |= add_once(objects, m->object);
+            add_once(&objects, m->object);
         if (faces > 0 && m->name)
-            failed |= json_array_append_new(materials, material_json(m, faces, channels));
+            cli_json_append(&materials, material_json(m, faces, &channels));
     }
-    failed |= json_object_set_new(root, "objects", objects);
-    failed |= json_object_set_new(root, "materials", materials);
-    failed |= json_object_set_new(root, "channels", channels);
-    failed |= json_object_set_new(root, "kept", kept_json(s, materials));
-    return failed ? bsq_fail(s->ctx, BSQ_ENOMEM, "no memory to describe the materials") : 0;
+    cli_json_set(root, "objects", objects);
+    cli_json_set(root, "materials", materials);
+    cli_json_set(root, "channels", channels);
+    cli_json_set(root, "kept", kept_json(s, materials));
 }
 
 static json_t *mesh_json(const struct survey *s, const struct fmt_mesh_reader *reader,
@@ -231,8 +221,7 @@ static int describe_mesh(struct bsq_ctx *ctx, const char *path, json_t **out)
         BSQ_TRY(fmt_mesh_fail_no_faces(ctx, path, &totals));
     BSQ_TRY(fmt_mesh_read_materials(reader, &found));
     *out = mesh_json(&s, reader, &totals);
-    if (*out)
-        status = describe_materials(&s, &found, *out);
+    describe_materials(&s, &found, out);
 done:
     fmt_materials_free(ctx, &found);
     fmt_mesh_close(reader);
@@ -246,18 +235,14 @@ done:
 static json_t *textures_json(const struct fmt_tris_header *h)
 {
     json_t *list = json_array();
-    int failed = 0;
     for (uint32_t m = 0; m < h->material_count; m++) {
         if (h->materials[m].texture_path)
-            failed |= add_once(list, h->materials[m].texture_path);
+            add_once(&list, h->materials[m].texture_path);
         for (uint32_t c = 0; c < h->channel_count; c++)
             if (h->materials[m].sources[c].texture_path)
-                failed |= add_once(list, h->materials[m].sources[c].texture_path);
+                add_once(&list, h->materials[m].sources[c].texture_path);
     }
-    if (!failed)
-        return list;
-    json_decref(list);
-    return NULL;
+    return list;
 }
 
 static int describe_tris(struct bsq_ctx *ctx, const char *path, json_t **out)
@@ -272,7 +257,7 @@ static int describe_tris(struct bsq_ctx *ctx, const char *path, json_t **out)
         max[axis] = h->origin[axis] + (double)h->bounds_max[axis];
     }
     for (uint32_t c = 0; c < h->channel_count; c++)
-        add_once(channels, h->channels[c]);
+        add_once(&channels, h->channels[c]);
     *out = json_pack(
         "{s:s, s:I, s:o, s:I, s:I, s:I, s:b, s:s?, s:b, s:b, s:b, s:b, s:s?, s:I, s:o, s:o}",
         "format", "chunk file", "version", (json_int_t)FMT_TRIS_VERSION, "box", box_json(min, max),
@@ -302,7 +287,7 @@ static int describe_grid(struct bsq_ctx *ctx, const char *path, json_t **out)
         status =
             fmt_channel_list_split(ctx, grid.channel_list, grid.channel_list_bytes, &names, &count);
     for (uint32_t c = 0; c < count; c++)
-        add_once(channels, names[c]);
+        add_once(&channels, names[c]);
     *out = json_pack(
         "{s:s, s:s, s:I, s:I, s:o, s:f, s:[i, i, i], s:[i, i, i], s:I, s:I, s:b, s:s?, s:o}",
         "format", "grid (NanoVDB)", "type", grid.info.type == FMT_NVDB_MASK ? "mask" : "onindex",
@@ -318,26 +303,22 @@ static int describe_grid(struct bsq_ctx *ctx, const char *path, json_t **out)
     return status;
 }
 
-/* Sets *out to a description of a file, for the caller to free with json_decref(). Reads meshes
- * whole, and of other files only what is needed. Errors: those of reading. */
+/* Sets *out to a description of a file, for the caller to free with json_decref(), also after a
+ * failure. Reads meshes whole, and of other files only what is needed. Errors: those of reading. */
 static int describe_file(struct bsq_ctx *ctx, const char *path, json_t **out)
 {
     enum fmt_kind kind;
     int status;
     *out = NULL;
-    BSQ_TRY(fmt_recognise(ctx, path, &kind));
+    BSQ_PASS(fmt_recognise(ctx, path, &kind));
     if (kind == FMT_KIND_VDB)
         return bsq_fail(ctx, BSQ_EDATA, "%s: an OpenVDB file, which Bisque does not read", path);
     status = kind == FMT_KIND_TRIS   ? describe_tris(ctx, path, out)
              : kind == FMT_KIND_NVDB ? describe_grid(ctx, path, out)
                                      : describe_mesh(ctx, path, out);
-    if (status == 0 && (!*out || json_object_set_new(*out, "path", cli_json_text(path)) < 0))
+    cli_json_set(out, "path", cli_json_text(path));
+    if (status == 0 && !*out)
         status = bsq_fail(ctx, BSQ_ENOMEM, "%s: no memory to describe it", path);
-done:
-    if (status < 0) {
-        json_decref(*out);
-        *out = NULL;
-    }
     return status;
 }
 
@@ -423,21 +404,20 @@ int voxelize_info_print(struct cli *cli, const char *const *paths, uint32_t coun
 {
     json_t *list = json_array();
     int status = 0;
-    for (uint32_t i = 0; i < count; i++) {
+    for (uint32_t i = 0; i < count && status == 0; i++) {
         const char *key;
         json_t *info, *member;
-        BSQ_TRY(describe_file(cli->ctx, paths[i], &info));
+        status = describe_file(cli->ctx, paths[i], &info);
         cli_clear_bar(cli);
-        if (!cli->json) {
+        if (status == 0 && !cli->json) {
             cli_print("%s\n", paths[i]);
             json_object_foreach(info, key, member) if (strcmp(key, "path") != 0)
                 print_member(key, member);
         }
         cli_json_append(&list, info);
     }
-    if (cli->json)
+    if (status == 0 && cli->json)
         return cli_print_json(cli, json_pack("{s:o}", "files", list));
-done:
     json_decref(list);
     return status;
 }
