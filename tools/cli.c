@@ -15,6 +15,7 @@
 
 #include "base/job_files.h"
 #include "base/path_map.h"
+#include "base/text.h"
 #include "formats/file_kind.h"
 
 /* ---- signals ---- */
@@ -136,61 +137,29 @@ static int add_rules(struct cli *cli, const json_t *root)
     return 0;
 }
 
-struct rules_file {
-    int fd, error; /* errno of reading, which Jansson takes for the end of the file */
-};
-
-static size_t read_rules(void *buffer, size_t size, void *arg)
-{
-    struct rules_file *file = arg;
-    ssize_t count;
-    do
-        count = read(file->fd, buffer, size);
-    while (count < 0 && errno == EINTR);
-    file->error = count < 0 ? errno : 0;
-    return count < 0 ? 0 : (size_t)count;
-}
-
-/* Loads a file as JSON. *reserved: bytes of the budget that the caller releases. */
-static int load_json(struct cli *cli, json_t **out, uint64_t *reserved)
-{
-    enum { BYTES_A_CHARACTER = 256, MOST_OTHERS = 1 << 16 }; /* of Jansson's memory */
-    struct rules_file file = {open(cli->path_map, O_RDONLY | O_NONBLOCK | O_CLOEXEC), 0};
-    struct stat info = {0};
-    json_error_t error;
-    int status = file.fd < 0 || fstat(file.fd, &info) != 0
-                     ? bsq_fail_errno(cli->ctx, BSQ_ENOINPUT, errno, "%s", cli->path_map)
-                 : S_ISREG(info.st_mode)
-                     ? 0
-                     : bsq_fail(cli->ctx, BSQ_ENOINPUT, "%s: not a regular file", cli->path_map);
-    if (status < 0)
-        goto done;
-    const uint64_t bound = BYTES_A_CHARACTER * (uint64_t)info.st_size + MOST_OTHERS;
-    BSQ_TRY(bsq_reserve(cli->ctx, "rules for paths", bound));
-    *reserved = bound;
-    *out = json_load_callback(read_rules, &file, JSON_REJECT_DUPLICATES, &error);
-    if (file.error)
-        status = bsq_fail_errno(cli->ctx, BSQ_EIO, file.error, "%s", cli->path_map);
-    else if (!*out)
-        status = fail_rules(cli, error.text);
-done:
-    if (file.fd >= 0)
-        close(file.fd);
-    return status;
-}
-
 /* Reads the rules of --path-map, which apply to names in files from then on. */
 static int load_path_map(struct cli *cli)
 {
+    struct bsq_file file = BSQ_FILE_CLOSED;
+    char *text = NULL;
     json_t *root = NULL;
-    uint64_t reserved = 0;
+    json_error_t error;
+    uint64_t bound = 0;
+    int status = 0;
     if (!cli->path_map)
         return 0;
-    int status = load_json(cli, &root, &reserved);
-    if (status == 0)
-        status = add_rules(cli, root);
+    BSQ_TRY(bsq_file_open_as(cli->ctx, cli->path_map, BSQ_OPEN_OTHER, &file));
+    BSQ_TRY(bsq_alloc(cli->ctx, "rules for paths", file.size + 1, 1, &text));
+    BSQ_TRY(bsq_file_read(cli->ctx, &file, text, file.size, 0));
+    BSQ_TRY(bsq_reserve(cli->ctx, "rules for paths", bsq_json_bound(text, file.size)));
+    bound = bsq_json_bound(text, file.size);
+    root = json_loadb(text, file.size, JSON_REJECT_DUPLICATES, &error);
+    status = root ? add_rules(cli, root) : fail_rules(cli, error.text);
+done:
     json_decref(root);
-    bsq_release(cli->ctx, reserved);
+    bsq_release(cli->ctx, bound);
+    bsq_free(cli->ctx, text);
+    bsq_file_close(cli->ctx, &file);
     return status;
 }
 
