@@ -5,8 +5,6 @@
 #include "formats/chunks/tris.h"
 #include "formats/grid/nvdb.h"
 
-#include <string.h>
-
 #include "base/file.h"
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"

@@ -1,9 +1,6 @@
 /* bisque-bake.c - bakes a scan into texture maps of a low-poly mesh. */
-#include <stdlib.h>
-#include <string.h>
 
 #include "tools/bake_report.h"
-#include "tools/page.h"
 
 /* Sets *missed if the maps are written but more samples missed than is allowed. */
 static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *missed)

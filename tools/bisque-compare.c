@@ -5,7 +5,6 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/job_files.h"
 #include "formats/file_kind.h"
 #include "libvoxel/voxel.h"
 #include "tools/page.h"

@@ -3,7 +3,6 @@
 #include <float.h>
 #include <inttypes.h>
 #include <malloc.h>
-#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 

@@ -9,11 +9,10 @@
 #include <string.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
-#include <sys/stat.h>
 #include <strings.h>
 #include <unistd.h>
 
-#include "base/job_files.h"
+#include "base/file.h"
 #include "base/path_map.h"
 #include "base/text.h"
 #include "formats/file_kind.h"

@@ -10,7 +10,6 @@
 #include <unistd.h>
 
 #include "formats/material/channels.h"
-#include "base/text.h"
 #include "formats/material/file_extent.h"
 #include "formats/material/tile_files.h"
 #include "formats/chunks/tris.h"

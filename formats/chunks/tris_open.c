@@ -5,7 +5,6 @@
 #include "formats/chunks/tris_internal.h"
 #include "formats/material/channels.h"
 #include "formats/material/file_extent.h"
-#include "base/job_files.h"
 #include "base/path_map.h"
 #include "formats/material/tile_files.h"
 

@@ -9,7 +9,6 @@
 #include <sys/stat.h>
 
 #include "formats/material/file_extent.h"
-#include "base/job_files.h"
 #include "base/sort_array.h"
 
 static const char udim[] = "<UDIM>", uvtile[] = "<UVTILE>";

@@ -7,7 +7,6 @@
 #include <string.h>
 #include <sys/stat.h>
 
-#include "base/job_files.h"
 #include "base/path_map.h"
 #include "formats/mesh/gltf_internal.h"
 #include "formats/mesh/mesh_text.h"

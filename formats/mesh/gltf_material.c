@@ -8,7 +8,6 @@
 #include "formats/material/file_extent.h"
 #include "formats/material/channels.h"
 #include "formats/mesh/gltf_internal.h"
-#include "formats/mesh/mesh_text.h"
 
 /* ---- images ---- */
 

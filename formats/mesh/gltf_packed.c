@@ -7,8 +7,6 @@
  *
  * The program bisque-gltf decodes: a mesh of 144 bytes makes Draco take 16 GB. */
 #include <inttypes.h>
-#include <math.h>
-#include <stdio.h>
 #include <string.h>
 
 #include "formats/mesh/gltf_internal.h"

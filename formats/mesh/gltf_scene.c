@@ -9,7 +9,6 @@
 
 #include "formats/mesh/gltf_internal.h"
 #include "formats/mesh/scene_file.h"
-#include "formats/mesh/mesh_text.h"
 
 /* ---- meshes: which accessors their primitives use ---- */
 

@@ -7,7 +7,6 @@
 #include <string.h>
 #include <sys/stat.h>
 
-#include "base/job_files.h"
 #include "base/context.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_internal.h"

@@ -6,7 +6,6 @@
 #include <string.h>
 
 #include "base/file.h"
-#include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_internal.h"
 #include "formats/mesh/obj_number.h"
 #include "formats/mesh/scene_file.h"

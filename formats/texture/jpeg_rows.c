@@ -8,8 +8,6 @@
  * in functions that set the target, and what must survive the jump lies in a struct. */
 #include <setjmp.h>
 #include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 
 #include <jpeglib.h>
 

@@ -4,7 +4,6 @@
  * coordinates are kept if some material has a texture. A textured material has a second entry
  * without texture, for triangles that lack texture coordinates. */
 #include "formats/material/file_extent.h"
-#include "base/job_files.h"
 #include "base/context.h"
 #include "formats/material/channels.h"
 #include "formats/material/tile_files.h"

@@ -3,7 +3,6 @@
  * Users should learn of a damaged texture before hours of work. A texture that cannot be used is a
  * warning, and its material goes without it. */
 #include "formats/material/file_extent.h"
-#include "base/job_files.h"
 #include "base/context.h"
 #include "formats/material/tile_files.h"
 #include "formats/texture/texture.h"
