@@ -27,13 +27,14 @@ enum bsq_option_kind {
 
 /** A row. A member without a name is set by another option, or not from the command line. */
 struct bsq_option {
-    const char *name;     /**< Without dashes, or NULL. */
-    const char *key;      /**< Of options such as --range height=D,curvature=C: "height"; or NULL.
-                             Rows with keys and the same name follow each other. */
-    char letter;          /**< Of the short form, or 0. */
-    const char *heading;  /**< Of the rows from here on in the help; NULL: the same as before. */
-    bool own_syntax;      /**< The program parses the value. */
-    bool finishes;        /**< Has no effect on what parts of a bake contain. */
+    const char *name;    /**< Without dashes, or NULL. */
+    const char *also;    /**< What others call it, which is not taken but told of; NULL: nothing. */
+    const char *key;     /**< Of options such as --range height=D,curvature=C: "height"; or NULL.
+                            Rows with keys and the same name follow each other. */
+    char letter;         /**< Of the short form, or 0. */
+    const char *heading; /**< Of the rows from here on in the help; NULL: the same as before. */
+    bool own_syntax;     /**< The program parses the value. */
+    bool finishes;       /**< Has no effect on what parts of a bake contain. */
     const char *argument; /**< What the help calls the value; NULL: takes none. */
     const char *help;     /**< Lines, with newlines between them. NULL: understood, but hidden. */
     enum bsq_option_kind kind; /**< What the member holds. */

@@ -320,6 +320,18 @@ static int use_inputs(struct cli *cli, struct bake_arguments *arguments, int sca
     return 0;
 }
 
+/* Refuses a low-poly mesh before its scan. */
+static int refuse_order(struct cli *cli, char *const *files)
+{
+    enum fmt_kind kinds[2];
+    for (int i = 0; i < 2; i++)
+        BSQ_PASS(fmt_recognise(cli->ctx, files[i], &kinds[i]));
+    if (kinds[0] == FMT_KIND_MESH && (kinds[1] == FMT_KIND_TRIS || kinds[1] == FMT_KIND_NVDB))
+        return cli_usage(cli, "%s is a low-poly mesh, and %s a scan: swap them", files[0],
+                         files[1]);
+    return 0;
+}
+
 int bake_arguments_sort_inputs(struct cli *cli, struct bake_arguments *arguments)
 {
     const int count = arguments->file_count;
@@ -331,6 +343,7 @@ int bake_arguments_sort_inputs(struct cli *cli, struct bake_arguments *arguments
             return cli_usage(cli, "-: standard input is not read: scans and low-poly meshes must "
                                   "be files");
     if (count == 2 && !arguments->list_tiles) {
+        BSQ_PASS(refuse_order(cli, arguments->files));
         arguments->paths[0] = arguments->files[0];
         arguments->paths[1] = arguments->files[1];
         return use_inputs(cli, arguments, 1, 1);

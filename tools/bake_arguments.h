@@ -19,7 +19,8 @@ struct bake_arguments {
     struct bake_pack *packs;        /* their texts are owned */
     char *channels;                 /* of the scans, for presets: ",roughness,metallic," */
     char *output;                   /* made of the name of a folder; NULL: none */
-    bool mask_opacity;              /* the mask is multiplied by the scan's opacity */
+    const char *new_folder; /* a folder that was made, and goes if it stays empty; or NULL */
+    bool mask_opacity;      /* the mask is multiplied by the scan's opacity */
     bool list_devices, list_tiles;
     char **files; /* the inputs, as given */
     int file_count;

@@ -1,8 +1,10 @@
 /* bake_maps.c - the options --maps, --texture, --pack, --preset and --quality, and a folder as the
  * output. */
+#include <errno.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 #include "tools/bake_arguments.h"
 
@@ -252,10 +254,11 @@ static int name_in_folder(struct cli *cli, struct bake_arguments *arguments)
     struct stat info;
     unsigned tiles = 0;
     const bool there = stat(path, &info) == 0 && S_ISDIR(info.st_mode);
-    if (!there && slashed)
-        return bsq_fail(cli->ctx, BSQ_ECANTCREAT, "%s: there is no such folder", path);
-    if (!there)
+    if (!there && !slashed)
         return 0;
+    if (!there && mkdir(path, 0777) != 0 && errno != EEXIST)
+        return bsq_fail_errno(cli->ctx, BSQ_ECANTCREAT, errno, "%s", path);
+    arguments->new_folder = there ? NULL : path;
     bsq_mute_warnings(cli->ctx, true); /* the bake reads the meshes again, and then gives them */
     const int status = bake_list_tiles(cli->ctx, bake, bake_maps_count_tile, &tiles);
     bsq_mute_warnings(cli->ctx, false);
@@ -433,6 +436,8 @@ static void free_transfers(struct bake_transfers *list)
 
 void bake_maps_free(struct bake_arguments *arguments)
 {
+    if (arguments->new_folder)
+        rmdir(arguments->new_folder); /* unless it has maps */
     for (uint32_t i = 0; i < arguments->bake.pack_count && arguments->packs; i++)
         free((void *)(uintptr_t)arguments->packs[i].name);
     free(arguments->packs);

@@ -290,6 +290,24 @@ static int compare_surfaces(struct cli *cli, const struct arguments *arguments, 
     return 0;
 }
 
+/* Says how a mesh is compared with a scan, if that is what is meant. */
+static int refuse_meshes(struct cli *cli, const struct arguments *arguments)
+{
+    const char *const *inputs = arguments->inputs;
+    enum fmt_kind first = FMT_KIND_OTHER, last = FMT_KIND_OTHER;
+    BSQ_PASS(fmt_recognise(cli->ctx, inputs[0], &first));
+    BSQ_PASS(fmt_recognise(cli->ctx, inputs[arguments->input_count - 1], &last));
+    if (first == FMT_KIND_TRIS && last == FMT_KIND_MESH)
+        return cli_usage(cli, "%s is the scan, and %s the mesh: swap them", inputs[0],
+                         inputs[arguments->input_count - 1]);
+    if (first == FMT_KIND_MESH && last == FMT_KIND_MESH)
+        return cli_usage(cli,
+                         "%s: a mesh is compared with a scan in chunks, which bisque-voxelize %s "
+                         "-o scan.tris makes",
+                         inputs[arguments->input_count - 1], inputs[arguments->input_count - 1]);
+    return 0;
+}
+
 static int compare(struct cli *cli, struct arguments *arguments, int *failures)
 {
     bool surfaces = true; /* all inputs but the first are chunk files */
@@ -299,6 +317,8 @@ static int compare(struct cli *cli, struct arguments *arguments, int *failures)
         BSQ_PASS(fmt_recognise(cli->ctx, arguments->inputs[i], &kind));
         surfaces = kind == FMT_KIND_TRIS;
     }
+    if (!surfaces)
+        BSQ_PASS(refuse_meshes(cli, arguments));
     if (surfaces)
         return compare_surfaces(cli, arguments, failures);
     if (arguments->input_count > 2)

@@ -296,7 +296,8 @@ static unsigned count_typos(const char *word, size_t length, const char *name)
 }
 
 /* Writes the option that a wrong word is nearest to, such as "--rays ao=N". Options with keys are
- * found by both names in any order, and by the key alone. Returns false if none is near. */
+ * found by both names in any order, and by the key alone, others also by what others call them.
+ * Returns false if none is near. */
 static bool find_nearest(const struct parser *parser, const char *word, char out[CLI_TEXT])
 {
     const size_t length = strcspn(word, "=");
@@ -311,7 +312,7 @@ static bool find_nearest(const struct parser *parser, const char *word, char out
                 continue;
             snprintf(names[0], CLI_TEXT, "%s%s%s", row->name, gap, key);
             snprintf(names[1], CLI_TEXT, "%s%s%s", key, gap, row->name);
-            snprintf(names[2], CLI_TEXT, "%s", row->key ? key : row->name);
+            snprintf(names[2], CLI_TEXT, "%s", row->key ? key : row->also ? row->also : row->name);
             for (int i = 0; i < 3; i++) {
                 const size_t typos = count_typos(word, length, names[i]);
                 if (typos > limit || (found && typos == limit))

@@ -51,15 +51,21 @@ static double chroma_weight(double chroma)
     return sqrt(c7 / (c7 + 6103515625.0));
 }
 
+/* sqrt() is the same on each system; hypot() differs between versions of the C library. */
+static double chroma_of(double a, double b)
+{
+    return sqrt(a * a + b * b);
+}
+
 struct polar {
     double c1, c2, h1, h2;
 };
 
 static struct polar to_polar(const double a[3], const double b[3])
 {
-    double chroma = (hypot(a[1], a[2]) + hypot(b[1], b[2])) / 2;
+    double chroma = (chroma_of(a[1], a[2]) + chroma_of(b[1], b[2])) / 2;
     double stretch = 1 + 0.5 * (1 - chroma_weight(chroma));
-    return (struct polar){hypot(stretch * a[1], a[2]), hypot(stretch * b[1], b[2]),
+    return (struct polar){chroma_of(stretch * a[1], a[2]), chroma_of(stretch * b[1], b[2]),
                           hue(stretch * a[1], a[2]), hue(stretch * b[1], b[2])};
 }
 

@@ -114,7 +114,7 @@ static const struct bsq_option table[] = {
     {BSQ_ROW("quality", "Q", "draft, normal or final: samples and rays that are not given"),
      CHOICE(quality, "normal draft final"), FINISHES},
     {BSQ_ROW("size", "N | WxH", "texels, or 4k (default: 2048); by UDIM tile: 1001=4096,*=2048"),
-     .own_syntax = true, COUNT(width, 0, UINT32_MAX, 2048)},
+     .also = "resolution", .own_syntax = true, COUNT(width, 0, UINT32_MAX, 2048)},
     {COUNT(height, 0, UINT32_MAX, 2048)},
     {BSQ_LIST(struct bake_options, tile_sizes, tile_size_count, size_rows)},
     {BSQ_ROW("tiles", "LIST", "UDIM tiles to bake, such as 1001-1003,1011 (default: all in use)"),

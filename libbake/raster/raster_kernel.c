@@ -42,7 +42,8 @@ static double corner_area(const struct corners *c)
 static double edge_length(const struct corners *c, int i)
 {
     int j = (i + 1) % 3;
-    return hypot(c->x[j] - c->x[i], c->y[j] - c->y[i]);
+    const double x = c->x[j] - c->x[i], y = c->y[j] - c->y[i];
+    return sqrt(x * x + y * y);
 }
 
 /* Returns the weight of corner i, which is 0 on the opposite edge. */

@@ -59,6 +59,8 @@ $bake plain.nvdb plain.nvdb plain.nvdb -o a.exr
 refused 64 "$p 3 scans (.nvdb, .tris) and 0 low-poly meshes given (see --help)"
 $bake plain.nvdb low.obj
 refused 64 "$p no output given: add -o 'OUT_<MAP>.exr'"
+$bake low.obj plain.nvdb -o 'a_<MAP>.exr'
+refused 64 "$p low.obj is a low-poly mesh, and plain.nvdb a scan: swap them"
 $bake --list devices low.obj
 refused 64 "$p --list devices takes no files"
 $bake --nonsense
@@ -150,7 +152,7 @@ $bake none.nvdb low.obj -o a.exr
 refused 66 "$p none.nvdb: No such file or directory"
 $bake plain.nvdb none.obj -o a.exr --maps normal
 refused 66 "$p none.obj: No such file or directory"
-$bake low.obj plain.nvdb -o a.exr
+$bake low.obj low.obj -o a.exr
 refused 65 "$p low.obj: neither a chunk file nor a NanoVDB file; bisque-voxelize makes both from a mesh"
 $bake plain.nvdb low.obj -o 'a_<MAP>.exr' --maps normal,color
 refused_like 65 '^bisque-bake: plain\.nvdb.*colour'

@@ -63,6 +63,7 @@ done <<'CASES'
 --padd1ng --padding N
 --two-side-d --two-sided
 --memroy --memory SIZE
+--resolution --size N | WxH
 CASES
 for wrong in --match-suffixes --half --list-devices --curvature-radius --zz "--$(printf '%0200d' 0)" --=; do
     $bake "$wrong" 3

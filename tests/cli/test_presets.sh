@@ -85,8 +85,13 @@ code 65
 
 # ---- folders and sizes ----
 
-$bake scan.nvdb low.obj -o missing/
-refused 73 "$p missing/: there is no such folder"
+$bake scan.nvdb low.obj -o missing/folder/
+refused 73 "$p missing/folder/: No such file or directory"
+ok $bake scan.nvdb low.obj --maps mask -o new/
+holds "a folder is made" [ -e new/low_mask.exr ]
+$bake scan.nvdb low.obj --maps transfer:nothing -o empty/
+code 65
+holds "a folder that stays empty goes" [ ! -e empty ]
 cp low.obj second.obj
 ok $bake scan.nvdb low.obj second.obj -o maps/ --maps mask --json
 json '[.tiles[].maps.mask] | sort == ["maps/low_mask.exr", "maps/second_mask.exr"]'

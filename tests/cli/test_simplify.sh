@@ -29,6 +29,10 @@ jq -e --slurpfile m measured 'def near($a; $b): ($a - $b) * ($a - $b) <= 1e-6 * 
     (.to_scan.mean / $m[0].to_scan.mean - 1 | fabs) < 0.05' "$out" >/dev/null
 check "bisque-compare measures the same" $?
 ok run bisque-compare low.obj vase.tris --max-error 1
+run bisque-compare low.obj low.obj
+refused 64 "bisque-compare: low.obj: a mesh is compared with a scan in chunks, which bisque-voxelize low.obj -o scan.tris makes"
+run bisque-compare vase.tris low.obj
+refused 64 "bisque-compare: vase.tris is the scan, and low.obj the mesh: swap them"
 run bisque-compare low.obj vase.tris --max-mean 1e-9
 code 1
 grep -q 'mean .* is above --max-mean 1e-09' "$err"
