@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import types
+from pathlib import Path
 
 import bisque
 import numpy as np
@@ -325,6 +326,21 @@ def test_asset_of_a_chunk_file_has_the_maps_that_it_can(tmp_path):
     chunks.write_bytes(chunks.read_bytes()[:100])
     with pytest.raises(bisque.Error, match="painted.tris"):
         bisque.asset(chunks, out, triangles=500, size=64)
+
+
+def test_options_of_asset_are_in_its_man_page():
+    page = Path(sys.prefix, "share/man/man1/bisque-asset.1").read_text()
+    told = set(re.findall(r"Fl \\-([a-z-]+)", page))
+    assert told == set(re.findall(r"--([a-z-]+)", re.sub(r"(?s)^.*options:", "", asset("--help").stdout)))
+
+
+def test_asset_names_the_option_that_is_meant():
+    for given, meant in (("--resolution", "--size"), ("--trianglse=4", "--triangles"), ("--memroy", "--memory")):
+        done = asset("a.obj", given, 512, code=64)
+        assert done.stderr == (f"bisque-asset: unrecognized option '{given.partition('=')[0]}'; "
+                               f"the nearest is {meant}\n")
+    assert "see bisque-asset --help" in asset("a.obj", "--nonsense", code=64).stderr
+    assert "4096 or 4k" in asset("none.obj", "-o", "a.glb", "--size", "4q", code=64).stderr
 
 
 def test_asset_ends_when_told_and_shows_json(tmp_path):

@@ -16,7 +16,7 @@ install: all
 	install -d $(bindir) $(arcdir)/pkgconfig $(helperdir) $(mandir) $(farmdir)/deadline \
 	    $(addprefix $(incdir)/,$(sort $(dir $(public_headers))))
 	install -m 755 $(bins) $(bindir)
-	install -m 644 $(wildcard man/*.1) $(mandir)
+	install -m 644 $(programs:%=man/%.1) $(mandir)
 	install -m 755 $(farm_programs) $(farmdir)
 	install -m 644 $(filter-out $(farm_programs),$(wildcard tools/farm/*.yaml)) $(farmdir)
 	install -m 644 $(wildcard tools/farm/deadline/*) $(farmdir)/deadline
@@ -36,7 +36,7 @@ install: all
 
 ## uninstall: remove the files of install
 uninstall:
-	rm -f $(addprefix $(bindir)/,$(programs)) $(addprefix $(mandir)/,$(notdir $(wildcard man/*.1)))
+	rm -f $(addprefix $(bindir)/,$(programs)) $(programs:%=$(mandir)/%.1)
 	rm -f $(arcdir)/libbisque.* $(arcdir)/pkgconfig/bisque.pc
 	rm -rf $(incdir) $(helperdir) $(farmdir) $(DESTDIR)$(prefix)/share/bisque/report.*
 	-rmdir $(dir $(farmdir)) 2>/dev/null

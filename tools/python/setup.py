@@ -46,4 +46,6 @@ class Build(build_py):
 
 os.chdir(HERE)
 make()
-setup(version=version(), cmdclass={"build_py": Build}, cffi_modules=["ffi_build.py:ffi"])
+pages = [f"../../man/bisque-{name}.1" for name in ("asset", "bake", "compare", "simplify", "voxelize")]
+setup(version=version(), cmdclass={"build_py": Build}, cffi_modules=["ffi_build.py:ffi"],
+      data_files=[("share/man/man1", pages)])

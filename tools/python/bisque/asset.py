@@ -21,7 +21,7 @@ import numpy as np
 
 from . import core, programs, seen, uv
 from .core import Error
-from .mesh import Mesh, as_mesh, is_path, read_mesh
+from .mesh import Mesh, as_mesh, is_path, parse_texels, read_mesh
 from .steps import FAILED_IO, Folder, Steps, sha256
 
 #: Triangles, texels and maps of each level; rays of a texel for ambient occlusion.
@@ -209,7 +209,7 @@ def _lost(report: dict) -> dict:
 
 
 def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str = "web",
-          triangles: int | None = None, size: int | None = None, maps: Any = None,
+          triangles: int | None = None, size: int | str | None = None, maps: Any = None,
           samples: int = 2, surface: str = "auto", library: str = "uvunwrap",
           unwrap_seconds: float = 300, min_component: float = 0.0, texture: Any = None,
           report: bool = False, keep: str | os.PathLike | None = None, memory: int | str | None = None,
@@ -226,8 +226,8 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
     `bisque-steps` the files between stay; without it they are in OUTPUT_asset/bisque-steps until the
     asset is complete. Interrupted jobs go on from them.
     Returns the certificate. Raises Error, UnwrapError, ValueError."""
-    output = Path(output)
-    chosen = _check_options(output, preset, triangles, size, samples, surface, library, unwrap_seconds,
+    output, size = Path(output), None if size is None else parse_texels(size)
+    chosen = _check_options(output, preset, triangles, samples, surface, library, unwrap_seconds,
                             min_component)
     if low is not None or triangles or size:
         chosen = [(triangles or chosen[-1][0], size or chosen[-1][1])]
@@ -304,7 +304,7 @@ def _sorted(steps: Steps, scan: Any, paths: list[str], texture: Any, job: dict) 
         scan, chunks, texture=texture, progress=steps.report, **job))
 
 
-def _check_options(output: Path, preset: str, triangles: int | None, size: int | None, samples: int,
+def _check_options(output: Path, preset: str, triangles: int | None, samples: int,
                    surface: str, library: str, seconds: float, component: float) -> list[tuple[int, int]]:
     """Refuses values that make no sense, by ValueError. Returns the levels of the preset."""
     for name, value, words in (("preset", preset, PRESETS), ("library", library, uv.LIBRARIES),
@@ -315,8 +315,7 @@ def _check_options(output: Path, preset: str, triangles: int | None, size: int |
         raise Error(69, f"{library} is not installed: pip install {library}")
     if output.suffix.lower() != ".glb":
         raise ValueError(f"{output}: its name must end in .glb")
-    for name, value, most in (("triangles", triangles, 2 ** 32 - 1), ("size", size, 65536),
-                              ("samples", samples, 2 ** 16)):
+    for name, value, most in (("triangles", triangles, 2 ** 32 - 1), ("samples", samples, 2 ** 16)):
         if value is not None:
             core.check_number(name, value, 1, most)
     for name, value, most in (("unwrap_seconds", seconds, 1e9), ("min_component", component, 1)):

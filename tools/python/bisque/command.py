@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import errno
 import json
 import os
@@ -65,9 +66,24 @@ class _Screen:
             pass  # nobody reads it
 
 
+#: What others call options.
+OTHER_NAMES = {"--resolution": "--size", "--texture-size": "--size", "--faces": "--triangles"}
+
+
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         raise ValueError(f"{message} (see bisque-asset --help)")
+
+    def refuse_unknown(self, words: list[str]) -> None:
+        """Refuses an option that there is not, with the nearest one, whatever else is wrong."""
+        known = self._option_string_actions
+        for word in words[:words.index("--")] if "--" in words else words:
+            name = word.partition("=")[0]
+            if name.startswith("--") and name not in known:
+                near = OTHER_NAMES.get(name) or next(iter(difflib.get_close_matches(name, known, 1, 0.7)), None)
+                if near:
+                    raise ValueError(f"unrecognized option '{name}'; the nearest is {near}")
+                self.error(f"unrecognized option '{name}'")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -80,7 +96,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--low", metavar="FILE.obj", help="a low-poly mesh to use")
     parser.add_argument("--texture", metavar="FILE", help="the scan's image, if it names none")
     parser.add_argument("--triangles", type=int, metavar="N", help="of the low-poly mesh")
-    parser.add_argument("--size", type=int, metavar="N", help="texels of a side of the maps")
+    parser.add_argument("--size", metavar="N", help="texels of a side of the maps, or 4k")
     parser.add_argument("--maps", metavar="LIST", help="such as normal,color,ao")
     parser.add_argument("--samples", type=int, default=2, metavar="N", help="N x N a texel")
     parser.add_argument("--surface", choices=("auto", "grid", "exact"), default="auto")
@@ -119,7 +135,9 @@ def _print(a: argparse.Namespace, certificate: dict) -> None:
 
 
 def _make(arguments: list[str], screen: _Screen) -> None:
-    a = _parser().parse_args(arguments)
+    parser = _parser()
+    parser.refuse_unknown(arguments)
+    a = parser.parse_args(arguments)
     screen.kind = a.progress
     if a.progress == "auto":
         screen.kind = "bar" if sys.stderr and sys.stderr.isatty() else "none"
