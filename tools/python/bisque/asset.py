@@ -210,7 +210,7 @@ def _lost(report: dict) -> dict:
 
 def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str = "web",
           triangles: int | None = None, size: int | str | None = None, maps: Any = None,
-          samples: int = 2, surface: str = "auto", library: str = "uvunwrap",
+          samples: int = 2, surface: str = "auto", library: str = uv.USUAL,
           unwrap_seconds: float = 300, min_component: float = 0.0, texture: Any = None,
           report: bool = False, keep: str | os.PathLike | None = None, memory: int | str | None = None,
           threads: int = 0, progress: core.Progress | None = None,

@@ -100,7 +100,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--maps", metavar="LIST", help="such as normal,color,ao")
     parser.add_argument("--samples", type=int, default=2, metavar="N", help="N x N a texel")
     parser.add_argument("--surface", choices=("auto", "grid", "exact"), default="auto")
-    parser.add_argument("--unwrap", choices=uv.LIBRARIES, default="uvunwrap", metavar="LIBRARY",
+    parser.add_argument("--unwrap", choices=uv.LIBRARIES, default=uv.USUAL, metavar="LIBRARY",
                         help="uvunwrap or xatlas")
     parser.add_argument("--unwrap-seconds", type=float, default=300, metavar="S")
     parser.add_argument("--min-component", type=float, default=0, metavar="SHARE",

@@ -47,13 +47,15 @@ def sha256(path: str | os.PathLike) -> tuple[str, str]:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         with open(descriptor, "rb") as file:
             before = _identity_of(os.fstat(file.fileno()))
-            checksum = hashlib.file_digest(file, "sha256").hexdigest()
+            digest = hashlib.sha256()
+            for block in iter(lambda: file.read(1 << 20), b""):
+                digest.update(block)
             after = _identity_of(os.fstat(file.fileno()))
     except OSError as error:
         raise Error(66, f"{path}: {error.strerror}") from None
     if before != after:
         raise Error(74, f"{path}: was changed while it was read")
-    return checksum, before
+    return digest.hexdigest(), before
 
 
 class Folder:

@@ -1,6 +1,7 @@
 """UVs: a library unwraps the mesh, and Bisque's own raster checks the result."""
 from __future__ import annotations
 
+import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -47,9 +48,11 @@ def _xatlas(vertices: np.ndarray, faces: np.ndarray, size: int, padding: int) ->
 
     atlas = xatlas.Atlas()
     atlas.add_mesh(vertices.astype(np.float32), faces.astype(np.uint32))
-    pack = xatlas.PackOptions()
+    charts, pack = xatlas.ChartOptions(), xatlas.PackOptions()
     pack.resolution, pack.padding = size, padding
-    atlas.generate(pack_options=pack)
+    # It rotates charts by mirroring them. Charts lie in gaps of others, so none could be turned back later.
+    charts.fix_winding, pack.rotate_charts = True, False
+    atlas.generate(chart_options=charts, pack_options=pack)
     _, indices, uvs = atlas[0]
     # They fill a rectangle; in a square of maps, that must not stretch them.
     uvs = uvs * np.array([atlas.width, atlas.height]) / max(atlas.width, atlas.height)
@@ -57,6 +60,8 @@ def _xatlas(vertices: np.ndarray, faces: np.ndarray, size: int, padding: int) ->
 
 
 LIBRARIES = {"uvunwrap": _uvunwrap, "xatlas": _xatlas}
+#: The library that is taken if none is named: uvunwrap, but for Pythons that it is not made for.
+USUAL = next((name for name in LIBRARIES if importlib.util.find_spec(name)), "uvunwrap")
 
 
 def _main() -> None:
@@ -206,7 +211,7 @@ def _turn_mirrored(mesh: Mesh, uvs: np.ndarray) -> tuple[np.ndarray, int]:
     return uvs, int((signed < 0).sum())
 
 
-def unwrap(low: Any, *, size: int = 2048, padding: int = 4, library: str = "uvunwrap",
+def unwrap(low: Any, *, size: int = 2048, padding: int = 4, library: str = USUAL,
            seconds: float = 120, memory: Any = None, threads: int = 0,
            progress: Progress | None = None) -> Mesh:
     """Gives a mesh texture coordinates in one square, with `padding` texels around each chart in maps
