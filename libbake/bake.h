@@ -426,6 +426,8 @@ struct bake_report {
     double seconds_kernels;
     /** Time with at least one copy of a tile running, on the GPU's clock; 0 for the processor. */
     double seconds_copies;
+    /** Vertical axis of the preview and the page; AUTO: there is none. */
+    enum bake_up preview_up;
     uint64_t kernel_calls; /**< Kernel launches; 0 for the processor. */
     struct bake_value_encoding encodings[BAKE_MAX_MAPS]; /**< Of each map, by its number. */
     /** Chunks of an exact bake that were loaded, counted again each time. */

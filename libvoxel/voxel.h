@@ -288,6 +288,9 @@ struct vox_simplify_options {
     double error;            /**< Largest distance that a mesh may have, both ways; above 0. */
     /** Pieces whose box has a diagonal below this share of the scan's are dropped. */
     double min_component;
+    /** Pieces of fewer triangles of the scan are dropped. Those of a scan that is reduced in parts
+     * are estimated: each triangle that is left before the last collapse stands for as many. */
+    uint64_t min_triangles;
     double hard_angle;   /**< Normals are smooth over edges up to that many degrees. */
     bool keep_materials; /**< Triangles of different materials stay apart, and keep these. */
 };
@@ -297,8 +300,8 @@ struct vox_simplify_report {
     size_t size;        /**< Of the structure, see bsq_clear_report(). */
     uint64_t triangles; /**< Triangles of the scan. */
     double diagonal;    /**< Diagonal of the scan's bounding box. */
-    /** Pieces below min_component, and those whose loss changed the surface less than a collapse of
-     * other edges would have. */
+    /** Pieces below min_component or min_triangles, and those whose loss changed the surface less
+     * than a collapse of other edges would have. */
     uint64_t dropped_pieces;
     uint64_t dropped_triangles; /**< Their triangles when they went. */
     uint64_t cut_handles;       /**< Handles, tunnels and necks that were cut and closed. */
@@ -309,6 +312,12 @@ struct vox_simplify_report {
     double seconds_collapse;                      /**< Wall time of the last collapse. */
     double seconds_measure;                       /**< Wall time of measuring. */
 };
+
+/** Reads what shares of a scan are of: the triangles of a chunk file, and the diagonal of their
+ * bounding box. temp_tris: NULL, or the file to read instead of tris_path. Errors: BSQ_ENOINPUT,
+ * BSQ_EDATA, BSQ_ENOMEM, BSQ_EIO. */
+int vox_scan_size(struct bsq_ctx *ctx, const char *tris_path, const struct vox_temp_tris *temp_tris,
+                  uint64_t *triangles, double *diagonal);
 
 /** Fills in the defaults: no inputs and outputs, no piece dropped, smooth normals. */
 void vox_simplify_defaults(struct vox_simplify_options *options);

@@ -321,9 +321,10 @@ static json_t *unseen_json(const struct bake_report *report)
 static json_t *bake_report_json(const struct cli *cli, const struct bake_arguments *arguments,
                                 const struct bake_report *report)
 {
+    static const char *const up_words[] = {NULL, "y", "z"};
     const struct bake_options *bake = &arguments->bake;
     return json_pack(
-        "{s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
+        "{s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:s*, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
         " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I, s:o, s:f, s:f}",
         "scan_path", cli_json_text(bake->scan_path), "scan_paths",
         paths_json(bake->scan_path, bake->more_scan_paths, bake->more_scan_count), "mesh_path",
@@ -331,14 +332,14 @@ static json_t *bake_report_json(const struct cli *cli, const struct bake_argumen
         paths_json(bake->mesh_path, bake->more_mesh_paths, bake->more_mesh_count), "maps",
         maps_json(cli, bake, NULL), "tiles", tiles_json(cli, bake, report), "encodings",
         encodings_json(report), "ids", ids_json(report), "glb_path", cli_json_text(bake->glb_path),
-        "preview_path", cli_json_text(bake->preview_path), "width", (int)bake->width, "height",
-        (int)bake->height, "samples_per_axis", (int)bake->samples, "device",
-        cli_json_text(report->device), CLI_COUNT(report, low_triangles),
-        CLI_COUNT(report, low_polygons), CLI_COUNT(report, degenerate_uv_triangles),
-        CLI_COUNT(report, outside_uv_triangles), CLI_COUNT(report, covered_texels),
-        CLI_COUNT(report, samples), CLI_COUNT(report, hits), CLI_COUNT(report, misses),
-        CLI_COUNT(report, overlapping_samples), CLI_VALUE(report, front), CLI_VALUE(report, back),
-        CLI_VALUE(report, seconds_open), CLI_VALUE(report, seconds_trace),
+        "preview_path", cli_json_text(bake->preview_path), "preview_up",
+        up_words[report->preview_up], "width", (int)bake->width, "height", (int)bake->height,
+        "samples_per_axis", (int)bake->samples, "device", cli_json_text(report->device),
+        CLI_COUNT(report, low_triangles), CLI_COUNT(report, low_polygons),
+        CLI_COUNT(report, degenerate_uv_triangles), CLI_COUNT(report, outside_uv_triangles),
+        CLI_COUNT(report, covered_texels), CLI_COUNT(report, samples), CLI_COUNT(report, hits),
+        CLI_COUNT(report, misses), CLI_COUNT(report, overlapping_samples), CLI_VALUE(report, front),
+        CLI_VALUE(report, back), CLI_VALUE(report, seconds_open), CLI_VALUE(report, seconds_trace),
         CLI_VALUE(report, seconds_padding), CLI_VALUE(report, seconds_resolve),
         CLI_VALUE(report, seconds_write), CLI_VALUE(report, seconds_preview),
         CLI_VALUE(report, seconds_upload), CLI_VALUE(report, seconds_kernels),

@@ -18,8 +18,16 @@ static const char usage[] =
     "all of the scan, both ways. Colours, texture coordinates and materials are left out. Meshes are\n"
     "sorted first; keep the chunk file (bisque-voxelize -o SCAN.tris) to simplify again.\n";
 
+/* A number, or a percentage of what the scan has. */
+struct amount {
+    double value;
+    bool percent;
+};
+
 struct arguments {
     struct vox_simplify_options simplify;
+    struct amount triangles[VOX_LEVELS_MAX], error, min_component;
+    uint32_t min_triangles;
     uint64_t targets[VOX_LEVELS_MAX];
     const char *output;
     char *paths[VOX_LEVELS_MAX];
@@ -35,15 +43,20 @@ static const struct bsq_option rows[] = {
              "the mesh, .obj, .ply or .glb; with several numbers of triangles its name\n"
              "must contain <N>, which is replaced by them"),
      .letter = 'o', .heading = "Mesh", MEMBER(OUTPUT, output)},
-    {BSQ_ROW("triangles", "LIST", "triangles of the mesh, or of several meshes: 150000,20000,2000"),
+    {BSQ_ROW("triangles", "LIST",
+             "triangles of the mesh, or of several meshes: 150000,20000,2000;\n"
+             "10%: of those of the scan"),
      BSQ_OWN},
     {BSQ_ROW("error", "D",
              "instead: the smallest mesh that is nowhere farther from the scan\n"
-             "than D, nor the scan from it, in the scan's units (default: none)"),
-     MEMBER(NUMBER, simplify.error), BSQ_RANGE(0, DBL_MAX, 0), .positive = true},
+             "than D, nor the scan from it, in the scan's units (default: none);\n"
+             "0.1%: of the scan's diagonal"),
+     BSQ_OWN},
     {BSQ_ROW("min-component", "P",
-             "drop separate pieces smaller than P % of the scan, by diagonals"),
-     MEMBER(NUMBER, simplify.min_component), BSQ_RANGE(0, 100, 0)},
+             "drop separate pieces smaller than P % of the scan, by diagonals: 5%"),
+     BSQ_OWN},
+    {BSQ_ROW("min-triangles", "N", "drop separate pieces of fewer triangles of the scan"),
+     MEMBER(COUNT, min_triangles), BSQ_RANGE(0, UINT32_MAX, 0)},
     {BSQ_ROW("keep-borders", "KIND", "keep triangles of different materials apart: none, material"),
      MEMBER(FLAG, simplify.keep_materials), .words = "none material"},
     {BSQ_ROW("hard-angle", "DEG", "edges with a larger angle than this look sharp"),
@@ -58,32 +71,92 @@ static int compare_falling(const void *a, const void *b)
     return x < y ? 1 : x > y ? -1 : 0;
 }
 
+/* Sorts the numbers of triangles, of which none may be there twice. */
+static int order_targets(struct cli *cli, struct arguments *arguments)
+{
+    const uint32_t count = arguments->simplify.target_count;
+    qsort(arguments->targets, count, sizeof *arguments->targets, compare_falling);
+    for (uint32_t i = 1; i < count; i++)
+        if (arguments->targets[i] == arguments->targets[i - 1])
+            return cli_usage(cli, "--triangles: %" PRIu64 " twice", arguments->targets[i]);
+    return 0;
+}
+
 /* Reads the list of --triangles. */
+static int take_triangles(struct cli *cli, struct arguments *arguments, const char *text)
+{
+    uint32_t count = 0;
+    bool shares = false;
+    for (const char *at = text;; at++) {
+        char *end;
+        errno = 0;
+        const double share = strtod(at, &end);
+        const bool percent = *end == '%';
+        const unsigned long long value = percent ? 4 : strtoull(at, &end, 10);
+        if (*at < '0' || *at > '9' || errno || value < 4 || (percent && !(share <= 100)) ||
+            (end[percent] && end[percent] != ','))
+            return cli_usage(cli,
+                             "--triangles: \"%s\" is not a list of numbers of 4 or more, or of "
+                             "percentages",
+                             text);
+        if (count == VOX_LEVELS_MAX)
+            return cli_usage(cli, "--triangles: more than %d numbers", VOX_LEVELS_MAX);
+        arguments->targets[count] = value;
+        arguments->triangles[count++] = (struct amount){share, percent};
+        shares |= percent;
+        at = end + percent;
+        if (!*at)
+            break;
+    }
+    arguments->simplify.target_count = count;
+    return shares ? 0 : order_targets(cli, arguments);
+}
+
+/* Reads a number, or a percentage. */
+static int take_amount(struct cli *cli, const char *option, const char *text, double most,
+                       struct amount *out)
+{
+    const struct bsq_option row = {BSQ_MEMBER(NUMBER, struct amount, value), BSQ_RANGE(0, most, 0)};
+    const size_t length = strlen(text);
+    char number[CLI_TEXT];
+    out->percent = length > 0 && text[length - 1] == '%';
+    snprintf(number, sizeof number, "%.*s", (int)(length - out->percent), text);
+    return cli_parse_value(cli, option, &row, number, out);
+}
+
 static int simplify_tool_take_option(struct cli *cli, void *arguments_,
                                      const struct bsq_option *row, const char *text)
 {
     struct arguments *arguments = arguments_;
-    uint32_t count = 0;
-    for (const char *at = text;; at++) {
-        char *end;
-        errno = 0;
-        const unsigned long long value = strtoull(at, &end, 10);
-        if (*at < '0' || *at > '9' || errno || value < 4 || (*end && *end != ','))
-            return cli_usage(cli, "--%s: \"%s\" is not a list of numbers of 4 or more", row->name,
-                             text);
-        if (count == VOX_LEVELS_MAX)
-            return cli_usage(cli, "--%s: more than %d numbers", row->name, VOX_LEVELS_MAX);
-        arguments->targets[count++] = value;
-        at = end;
-        if (!*at)
-            break;
-    }
-    qsort(arguments->targets, count, sizeof *arguments->targets, compare_falling);
-    for (uint32_t i = 1; i < count; i++)
-        if (arguments->targets[i] == arguments->targets[i - 1])
-            return cli_usage(cli, "--%s: %" PRIu64 " twice", row->name, arguments->targets[i]);
-    arguments->simplify.target_count = count;
-    return 0;
+    if (strcmp(row->name, "triangles") == 0)
+        return take_triangles(cli, arguments, text);
+    if (strcmp(row->name, "min-component") == 0)
+        return take_amount(cli, "--min-component", text, 100, &arguments->min_component);
+    BSQ_PASS(take_amount(cli, "--error", text, DBL_MAX, &arguments->error));
+    return arguments->error.value > 0 ? 0 : cli_usage(cli, "--error: \"%s\" is not above 0", text);
+}
+
+/* Turns percentages into numbers of the scan's triangles, and a part of its diagonal. */
+static int resolve_amounts(struct cli *cli, struct arguments *arguments)
+{
+    struct vox_simplify_options *simplify = &arguments->simplify;
+    bool shares = arguments->error.percent;
+    uint64_t triangles;
+    double diagonal;
+    for (uint32_t i = 0; i < simplify->target_count; i++)
+        shares |= arguments->triangles[i].percent;
+    simplify->error = arguments->error.value;
+    if (!shares)
+        return 0;
+    BSQ_PASS(
+        vox_scan_size(cli->ctx, simplify->tris_path, simplify->temp_tris, &triangles, &diagonal));
+    if (arguments->error.percent)
+        simplify->error *= diagonal / 100;
+    for (uint32_t i = 0; i < simplify->target_count; i++)
+        if (arguments->triangles[i].percent)
+            arguments->targets[i] =
+                (uint64_t)fmax(4, round(arguments->triangles[i].value / 100 * (double)triangles));
+    return order_targets(cli, arguments);
 }
 
 /* Makes the name of each output. */
@@ -92,9 +165,6 @@ static int name_outputs(struct cli *cli, struct arguments *arguments)
     const uint32_t count =
         arguments->simplify.target_count > 0 ? arguments->simplify.target_count : 1;
     const char *token = strstr(arguments->output, "<N>");
-    if (count > 1 && !token)
-        return cli_usage(cli, "%s: the name of %u meshes must contain <N>", arguments->output,
-                         count);
     for (uint32_t i = 0; i < count; i++) {
         const int before =
             token ? (int)(token - arguments->output) : (int)strlen(arguments->output);
@@ -126,13 +196,17 @@ static int simplify_tool_parse_arguments(struct cli *cli, struct arguments *argu
     if (status != 0)
         return status;
     arguments->simplify.targets = arguments->targets;
-    arguments->simplify.min_component /= 100;
+    arguments->simplify.min_component = arguments->min_component.value / 100;
+    arguments->simplify.min_triangles = arguments->min_triangles;
     if (argc == optind)
         return cli_usage(cli, "no input file given (see --help)");
     if (!arguments->output)
         return cli_usage(cli, "no output file given: -o LOW.obj");
-    if ((arguments->simplify.target_count > 0) == (arguments->simplify.error > 0))
+    if ((arguments->simplify.target_count > 0) == (arguments->error.value > 0))
         return cli_usage(cli, "either --triangles or --error is needed");
+    if (arguments->simplify.target_count > 1 && !strstr(arguments->output, "<N>"))
+        return cli_usage(cli, "%s: the name of %u meshes must contain <N>", arguments->output,
+                         arguments->simplify.target_count);
     return 0;
 }
 
@@ -157,7 +231,7 @@ static int sort_meshes(struct cli *cli, const struct arguments *arguments,
     vox_sort_defaults(&options);
     options.scan_paths = arguments->scans.meshes;
     options.scan_count = arguments->scans.mesh_count;
-    options.tris_path = arguments->paths[0];
+    options.tris_path = arguments->output;
     options.temp_tris = temp;
     options.scan_normals = BSQ_SCAN_NORMALS_FLAT; /* they are not used */
     options.ids = arguments->simplify.keep_materials ? VOX_IDS_MATERIAL : VOX_IDS_NONE;
@@ -234,17 +308,18 @@ static int simplify_tool_run(struct cli *cli, struct arguments *arguments, const
     struct vox_temp_tris *temp = NULL;
     int status = 0;
     BSQ_TRY(cli_create_context(cli));
-    BSQ_TRY(name_outputs(cli, arguments));
     BSQ_TRY(simplify_tool_recognise_inputs(cli, arguments, inputs, input_count));
     if (arguments->scans.mesh_count > 0) {
         BSQ_TRY(vox_temp_tris_create(cli->ctx, &temp));
         BSQ_TRY(sort_meshes(cli, arguments, temp, &sorted));
     }
-    const struct vox_join_options how = {.output_path = arguments->paths[0],
+    const struct vox_join_options how = {.output_path = arguments->output,
                                          .scan_normals = BSQ_SCAN_NORMALS_FLAT};
     BSQ_TRY(cli_join(cli, arguments->scans.chunks, arguments->scans.chunk_count, &how, &temp));
     arguments->simplify.tris_path = arguments->scans.chunks[0];
     arguments->simplify.temp_tris = temp;
+    BSQ_TRY(resolve_amounts(cli, arguments));
+    BSQ_TRY(name_outputs(cli, arguments));
     BSQ_TRY(vox_simplify(cli->ctx, &arguments->simplify, &report));
     report.temp_bytes = bsq_temp_bytes(cli->ctx);
     warn_of_targets(cli, arguments, &report);

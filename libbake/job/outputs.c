@@ -323,6 +323,7 @@ int bake_write_preview(struct bake_job *job)
                                          .tiles = job->preview_tiles,
                                          .tile_count = job->udim.count,
                                          .options = job->options};
+    job->report->preview_up = bake_preview_up_axis(&preview) == 2 ? BAKE_UP_Z : BAKE_UP_Y;
     return bake_preview_write(job->ctx, path, &preview, &job->preview_from, &job->preview);
 }
 

@@ -30,10 +30,11 @@ struct piece {
     uint32_t triangles;
 };
 
-/* Counts pieces whose boxes are small, and gives them no triangles. */
+/* Counts pieces whose boxes are small or that are of few triangles, and gives them none. */
 static void judge_pieces(struct simplifying *s, const uint32_t *parents, struct piece *pieces)
 {
     const double least = s->options->min_component * s->report->diagonal;
+    const double each = (double)s->report->triangles / s->mesh.triangle_count;
     for (uint32_t v = 0; v < s->mesh.vertex_count; v++) {
         struct piece *piece = &pieces[v];
         double square = 0;
@@ -43,7 +44,7 @@ static void judge_pieces(struct simplifying *s, const uint32_t *parents, struct 
             const double side = (double)piece->high[k] - (double)piece->low[k];
             square += side * side;
         }
-        if (square >= least * least)
+        if (square >= least * least && each * piece->triangles >= (double)s->options->min_triangles)
             continue;
         s->report->dropped_pieces++;
         s->report->dropped_triangles += piece->triangles;
@@ -57,7 +58,7 @@ static int drop_pieces(struct simplifying *s)
     uint32_t *parents = NULL, kept = 0;
     struct piece *pieces = NULL;
     int status = 0;
-    if (!(s->options->min_component > 0))
+    if (!(s->options->min_component > 0) && s->options->min_triangles == 0)
         return 0;
     BSQ_TRY(BSQ_ALLOC(s->ctx, "pieces", mesh->vertex_count, &parents));
     BSQ_TRY(BSQ_ALLOC(s->ctx, "pieces", mesh->vertex_count, &pieces));
@@ -87,8 +88,10 @@ static int drop_pieces(struct simplifying *s)
     if (kept == 0)
         status =
             bsq_fail(s->ctx, BSQ_EDATA,
-                     "%s: no piece is as large as the least component, %g of the diagonal %g",
-                     s->options->output_paths[0], s->options->min_component, s->report->diagonal);
+                     "%s: no piece is as large as the least component, %g %% of the diagonal %g "
+                     "and %" PRIu64 " triangles",
+                     s->options->output_paths[0], 100 * s->options->min_component,
+                     s->report->diagonal, s->options->min_triangles);
 done:
     BSQ_FREE(s->ctx, pieces, parents);
     return status;
@@ -220,6 +223,28 @@ static int check_options(struct bsq_ctx *ctx, const struct vox_simplify_options 
     return 0;
 }
 
+static double header_diagonal(const struct fmt_tris_header *header)
+{
+    double square = 0;
+    for (int k = 0; k < 3; k++) {
+        const double side = (double)header->bounds_max[k] - (double)header->bounds_min[k];
+        square += side * side;
+    }
+    return sqrt(square);
+}
+
+int vox_scan_size(struct bsq_ctx *ctx, const char *tris_path, const struct vox_temp_tris *temp_tris,
+                  uint64_t *triangles, double *diagonal)
+{
+    struct fmt_tris_file *file;
+    BSQ_PASS(temp_tris ? fmt_tris_open_temp(ctx, &temp_tris->file, &file)
+                       : fmt_tris_open(ctx, tris_path, &file));
+    *triangles = fmt_tris_get_header(file)->triangle_count;
+    *diagonal = header_diagonal(fmt_tris_get_header(file));
+    fmt_tris_close(file);
+    return 0;
+}
+
 static int open_scan(struct simplifying *s)
 {
     const struct vox_temp_tris *temp = s->options->temp_tris;
@@ -229,11 +254,7 @@ static int open_scan(struct simplifying *s)
     s->report->triangles = s->header->triangle_count;
     if (s->options->keep_materials && s->header->material_count == 0)
         bsq_warn(s->ctx, "the scan has no materials to keep apart");
-    for (int k = 0; k < 3; k++) {
-        const double side = (double)s->header->bounds_max[k] - (double)s->header->bounds_min[k];
-        s->report->diagonal += side * side;
-    }
-    s->report->diagonal = sqrt(s->report->diagonal);
+    s->report->diagonal = header_diagonal(s->header);
     return 0;
 }
 

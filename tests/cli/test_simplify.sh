@@ -67,6 +67,15 @@ ok run bisque-compare error.ply vase.tris --max-error "$error"
 ok run bisque-simplify vase.tris -o less.ply --triangles $((found * 9 / 10)) --json
 json "[.meshes[0] | .from_scan.max, .to_scan.max] | max > $error * 0.9"
 
+# Shares of the scan: a tenth of its triangles, and of its diagonal.
+ok run bisque-simplify vase.tris -o 'share_<N>.ply' --triangles 10%,3000 --json
+json "[.meshes[].target] == [(.triangles / 10 | round), 3000]"
+tenth=$(jq '.triangles / 10 | round' "$out")
+[ -s share_3000.ply ] && [ -s "share_$tenth.ply" ]
+check "files have the numbers of triangles in their names" $?
+ok run bisque-simplify vase.tris -o share.ply --error 0.3% --json
+json '.diagonal as $d | .meshes[0] | [.from_scan.max, .to_scan.max] | max <= 0.003 * $d and max > 0.0025 * $d'
+
 # ---- pieces and edges ----
 
 # A cube of 12 triangles and a far smaller one.
@@ -85,6 +94,13 @@ json '.dropped_pieces == 0 and .meshes[0].triangles == 24'
 [ "$(grep -c '^vn' cubes_low.obj)" -eq 48 ]
 check "corners of a cube have three normals each" $?
 ok run bisque-simplify cubes.obj -o cubes_low.obj --triangles 24 --min-component 5 --json
+json '.dropped_pieces == 1 and .dropped_triangles == 12 and .meshes[0].triangles == 12'
+{ cat cubes.obj; printf 'v %s 9\n' '0 0' '9 0' '0 9'; echo f 17 18 19; } >triangle.obj
+ok run bisque-simplify triangle.obj -o cubes_low.obj --triangles 24 --min-triangles 2 --json
+json '.dropped_pieces == 1 and .dropped_triangles == 1 and .meshes[0].triangles == 24'
+run bisque-simplify triangle.obj -o cubes_low.obj --triangles 24 --min-triangles 13
+refused_like 65 "^$p cubes_low.obj: no piece is as large as the least component, "
+ok run bisque-simplify cubes.obj -o cubes_low.obj --triangles 24 --min-component 5% --json
 json '.dropped_pieces == 1 and .dropped_triangles == 12 and .meshes[0].triangles == 12'
 [ "$(grep -c '^vn' cubes_low.obj)" -eq 8 ]
 check "without hard edges, corners of a cube have one normal each" $?
@@ -216,9 +232,19 @@ refused 64 "$p either --triangles or --error is needed"
 run bisque-simplify vase.tris -o low.obj --triangles 100 --error 1
 refused 64 "$p either --triangles or --error is needed"
 run bisque-simplify vase.tris -o low.obj --triangles 100,x
-refused 64 "$p --triangles: \"100,x\" is not a list of numbers of 4 or more"
+refused 64 "$p --triangles: \"100,x\" is not a list of numbers of 4 or more, or of percentages"
+run bisque-simplify vase.tris -o low.obj --triangles 101%
+refused 64 "$p --triangles: \"101%\" is not a list of numbers of 4 or more, or of percentages"
+run bisque-simplify vase.tris -o low.obj --error 0%
+refused 64 "$p --error: \"0%\" is not above 0"
+run bisque-simplify vase.tris -o low.obj --error 1mm
+refused 64 "$p --error: \"1mm\" is not a non-negative number"
+run bisque-simplify vase.tris -o low.obj --triangles 100 --min-component 101%
+refused 64 "$p --min-component: 101 is above 100"
 run bisque-simplify vase.tris -o low.obj --triangles 100,100
 refused 64 "$p --triangles: 100 twice"
+run bisque-simplify vase.tris -o 'low_<N>.obj' --triangles 10%,10.0%
+refused 64 "$p --triangles: $tenth twice"
 run bisque-simplify vase.tris -o low.obj --triangles 200,100
 refused 64 "$p low.obj: the name of 2 meshes must contain <N>"
 run bisque-simplify none.tris -o low.obj --triangles 200
