@@ -56,6 +56,21 @@ enum bsq_scan_normals {
     BSQ_SCAN_NORMALS_SMOOTH = BSQ_SCAN_NORMALS_AREA /**< The usual ones. */
 };
 
+/** Which axis points upwards in a mesh. */
+enum bsq_up {
+    BSQ_UP_KEEP, /**< As in the file. */
+    BSQ_UP_Y,    /**< The file has z upwards; it is turned so that y is: (x, z, -y). */
+    BSQ_UP_Z     /**< The file has y upwards; it is turned so that z is: (x, -z, y). */
+};
+
+/** Where a mesh file lies in the scan: scaled, then turned, then shifted, in double precision.
+ * Normals are turned. */
+struct bsq_placement {
+    double scale;        /**< Factor of all positions, above 0. */
+    enum bsq_up up;      /**< Turns the mesh around the x axis. */
+    double translate[3]; /**< Added to all positions. */
+};
+
 /** A progress report. */
 struct bsq_progress {
     const char *stage; /**< For example "reading" or "sorting"; static storage. */

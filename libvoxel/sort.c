@@ -132,24 +132,6 @@ static int read_passes(struct scan *scan, struct fmt_mesh_reader *reader,
                       : read_batches(scan, reader, options, PARTITION_TWO_PASSES, textures, out);
 }
 
-/* Turns the library's placements into those of the readers. */
-static int copy_placements(struct bsq_ctx *ctx, const struct vox_sort_options *options,
-                           struct fmt_mesh_placement **out)
-{
-    if (!options->placements)
-        return 0;
-    int status = BSQ_ALLOC(ctx, "inputs", options->scan_count, out);
-    for (uint32_t i = 0; i < options->scan_count && status == 0; i++) {
-        const struct vox_placement *from = &options->placements[i];
-        (*out)[i].scale = from->scale;
-        (*out)[i].up = from->up == VOX_UP_Y   ? FMT_MESH_UP_Y
-                       : from->up == VOX_UP_Z ? FMT_MESH_UP_Z
-                                              : FMT_MESH_UP_KEEP;
-        memcpy((*out)[i].translate, from->translate, sizeof from->translate);
-    }
-    return status;
-}
-
 /* Adds a name to a list of VOX_NAMES_BYTES bytes. */
 static void sort_add_name(char *list, const char *name)
 {
@@ -194,13 +176,11 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
                                      .channel_count = options->channel_count,
                                      .only_channels = options->texture_path != NULL};
     const double start = bsq_seconds_now();
-    struct fmt_mesh_placement *placements = NULL;
     int status;
-    BSQ_TRY(copy_placements(ctx, options, &placements));
     const struct fmt_mesh_inputs inputs = {.paths = options->scan_paths,
                                            .sources = options->sources,
                                            .path_count = options->scan_count,
-                                           .placements = placements,
+                                           .placements = options->placements,
                                            .beside = options->tris_path,
                                            .pipes = true};
     BSQ_TRY(fmt_mesh_open_inputs(ctx, &inputs, &reader));
@@ -213,7 +193,6 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     status = read_passes(scan, reader, options, estimate.faces_come_last && !limits->two_passes,
                          &textures, out);
 done:
-    bsq_free(ctx, placements);
     vox_textures_free(ctx, &textures);
     fmt_mesh_close(reader);
     report_scan(scan, options, report);

@@ -40,20 +40,6 @@ int vox_temp_tris_create(struct bsq_ctx *ctx, struct vox_temp_tris **out);
 /** Closes the file and frees the handle; NULL is allowed. */
 void vox_temp_tris_close(struct vox_temp_tris *temp);
 
-/** Which axis points upwards in a scan. */
-enum vox_up {
-    VOX_UP_KEEP, /**< As in the file. */
-    VOX_UP_Y,    /**< The file has z upwards; it is turned so that y is: (x, z, -y). */
-    VOX_UP_Z     /**< The file has y upwards; it is turned so that z is: (x, -z, y). */
-};
-
-/** Where a mesh file lies in the scan: scaled, then turned, then shifted, in double precision. */
-struct vox_placement {
-    double scale;        /**< Factor of all positions, above 0. */
-    enum vox_up up;      /**< Turns the mesh around the x axis. */
-    double translate[3]; /**< Added to all positions. */
-};
-
 /** A further channel of a scan, such as its roughness, see docs/maps.md. */
 struct vox_channel {
     const char *name; /**< Lower-case letters, digits and underscores, with a letter first. */
@@ -72,7 +58,7 @@ struct vox_sort_options {
      * name in messages. NULL: all are files. */
     const struct bsq_source *const *sources;
     /** One for each mesh file; NULL: all stay in place. */
-    const struct vox_placement *placements;
+    const struct bsq_placement *placements;
     uint32_t scan_count;      /**< Number of mesh files, at least 1. */
     const char *texture_path; /**< Image for all faces with texture coordinates. NULL: the images
                                  that the materials name. */

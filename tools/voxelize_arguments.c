@@ -102,7 +102,7 @@ static struct cli_table scan_args_table(const struct voxelize_arguments *argumen
 
 static int parse_scale(struct cli *cli, struct voxelize_arguments *a, const char *text)
 {
-    static const struct bsq_option row = {BSQ_MEMBER(NUMBER, struct vox_placement, scale),
+    static const struct bsq_option row = {BSQ_MEMBER(NUMBER, struct bsq_placement, scale),
                                           BSQ_RANGE(0, DBL_MAX, 1), .positive = true};
     return cli_parse_value(cli, "--scale", &row, text, &a->placements[a->scales++]);
 }
@@ -111,7 +111,7 @@ static int parse_up(struct cli *cli, struct voxelize_arguments *a, const char *t
 {
     unsigned axis = 0;
     const int status = cli_parse_word(cli, "--up", text, "y z", &axis);
-    a->placements[a->ups++].up = axis == 0 ? VOX_UP_Y : VOX_UP_Z;
+    a->placements[a->ups++].up = axis == 0 ? BSQ_UP_Y : BSQ_UP_Z;
     return status;
 }
 
@@ -145,7 +145,7 @@ static int finish_placements(struct cli *cli, struct voxelize_arguments *a)
                              "file",
                              given[i].name, given[i].count, inputs, inputs == 1 ? "" : "s");
     for (uint32_t i = 1; i < inputs; i++) {
-        struct vox_placement *to = &a->placements[i];
+        struct bsq_placement *to = &a->placements[i];
         if (a->scales == 1)
             to->scale = a->placements->scale;
         if (a->ups == 1)

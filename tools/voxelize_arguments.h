@@ -19,7 +19,7 @@ struct voxelize_arguments {
     struct vox_channel *channels;       /* those of sort; the names are owned */
     char *channel_list;                 /* those of grid */
     bool all_channels;                  /* keep all that the materials have */
-    struct vox_placement *placements;   /* those of sort */
+    struct bsq_placement *placements;   /* those of sort */
     uint32_t scales, ups, translations; /* how often these options were given */
     double origin[3];                   /* that of sort, if it was given */
 };

@@ -77,7 +77,7 @@ struct stream_source {
     bool open;
     bool held;  /* the input stays open from the start of the reader to the first cut */
     void *data; /* what the format keeps of the file: format->data_bytes, zero at first */
-    struct fmt_mesh_placement placement;
+    struct bsq_placement placement;
     bool moves; /* the placement changes something */
     /* Elements of the scan in earlier files, and in this file as far as it has passed. */
     uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];

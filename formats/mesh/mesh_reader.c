@@ -152,10 +152,10 @@ static int check_once(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from, u
     return 0;
 }
 
-static int set_placement(struct stream_source *source, const struct fmt_mesh_placement *p)
+static int set_placement(struct stream_source *source, const struct bsq_placement *p)
 {
     source->placement = *p;
-    source->moves = p->scale != 1.0 || p->up != FMT_MESH_UP_KEEP || p->translate[0] != 0.0 ||
+    source->moves = p->scale != 1.0 || p->up != BSQ_UP_KEEP || p->translate[0] != 0.0 ||
                     p->translate[1] != 0.0 || p->translate[2] != 0.0;
     if (!(p->scale > 0.0) || !isfinite(p->scale))
         return bsq_fail(source->ctx, BSQ_EUSAGE, "%s: a scale of %g", source->path, p->scale);

@@ -93,24 +93,12 @@ int fmt_mesh_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_c
                   struct fmt_mesh_reader **out);
 void fmt_mesh_close(struct fmt_mesh_reader *reader); /* NULL is allowed */
 
-/* Moves a mesh: positions are multiplied by `scale`, then turned, then shifted. Normals are turned.
- * All in double precision. */
-struct fmt_mesh_placement {
-    double scale; /* positive */
-    enum {
-        FMT_MESH_UP_KEEP,
-        FMT_MESH_UP_Y,
-        FMT_MESH_UP_Z
-    } up; /* turns the other axis to this one */
-    double translate[3];
-};
-
 /* What is read as one scan. */
 struct fmt_mesh_inputs {
     const char *const *paths;
     const struct bsq_source *const *sources; /* one for each path, or NULL; NULL: all are files */
     uint32_t path_count;
-    const struct fmt_mesh_placement *placements; /* one for each path, or NULL */
+    const struct bsq_placement *placements; /* one for each path, or NULL */
     /* An output path, in whose directory packed files and pipes are unpacked into temporary files,
      * if the context has no directory for them. NULL: ".". */
     const char *beside;

@@ -344,7 +344,7 @@ static void add_bases(struct stream_slot *slot)
 
 /* Scales, turns and shifts the elements of a block, in double precision, before anybody chooses an
  * origin for 32-bit positions. */
-static void move_elements(const struct fmt_mesh_placement *p, struct mesh_arrays *a)
+static void move_elements(const struct bsq_placement *p, struct mesh_arrays *a)
 {
     for (uint64_t v = 0; v < a->count[FMT_MESH_VERTEX]; v++) {
         double *position = a->positions[v];
@@ -355,10 +355,10 @@ static void move_elements(const struct fmt_mesh_placement *p, struct mesh_arrays
         position[1] = turned[p->up][0] + p->translate[1];
         position[2] = turned[p->up][1] + p->translate[2];
     }
-    for (uint64_t i = 0; p->up != FMT_MESH_UP_KEEP && i < a->count[FMT_MESH_NORMAL]; i++) {
+    for (uint64_t i = 0; p->up != BSQ_UP_KEEP && i < a->count[FMT_MESH_NORMAL]; i++) {
         const float y = a->normals[i][1], z = a->normals[i][2];
-        a->normals[i][1] = p->up == FMT_MESH_UP_Y ? z : -z;
-        a->normals[i][2] = p->up == FMT_MESH_UP_Y ? -y : y;
+        a->normals[i][1] = p->up == BSQ_UP_Y ? z : -z;
+        a->normals[i][2] = p->up == BSQ_UP_Y ? -y : y;
     }
 }
 

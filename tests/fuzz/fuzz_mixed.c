@@ -89,11 +89,11 @@ static int read_once(struct fmt_mesh_reader *reader, struct reading *out)
 
 static int read_twice(struct bsq_ctx *ctx, const char *const *paths, uint32_t count)
 {
-    struct fmt_mesh_placement placements[FUZZ_MAX_FILES];
+    struct bsq_placement placements[FUZZ_MAX_FILES];
     path_count = count;
     for (uint32_t i = 0; i < count; i++)
-        placements[i] = (struct fmt_mesh_placement){
-            .scale = 1 + i, .up = i % 2 ? FMT_MESH_UP_Z : FMT_MESH_UP_KEEP, .translate = {i, 0, 3}};
+        placements[i] = (struct bsq_placement){
+            .scale = 1 + i, .up = i % 2 ? BSQ_UP_Z : BSQ_UP_KEEP, .translate = {i, 0, 3}};
     const struct fmt_mesh_inputs inputs = {
         .paths = paths, .path_count = count, .placements = moved ? placements : NULL};
     struct fmt_mesh_reader *reader = NULL;

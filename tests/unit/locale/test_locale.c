@@ -73,8 +73,8 @@ static void expect(struct bsq_ctx *ctx, int status, int expected)
 
 static void sort(struct bsq_ctx *ctx, const char *scan, const char *tris)
 {
-    static const struct vox_placement placement = {
-        .scale = 1.25, .up = VOX_UP_KEEP, .translate = {100.5, 0.25, 0}};
+    static const struct bsq_placement placement = {
+        .scale = 1.25, .up = BSQ_UP_KEEP, .translate = {100.5, 0.25, 0}};
     static const struct vox_channel roughness = {.name = "roughness", .optional = true};
     struct vox_sort_report report = {.size = sizeof report};
     struct vox_sort_options options;
