@@ -214,50 +214,30 @@ static int try_text(struct search *search, const char *text, enum form form)
     return status ? status : try_path(search, name, form);
 }
 
-/* Tries a name as it is, and without quotes around it. */
-static int try_form(struct search *search, const char *name, enum form form)
-{
-    char *text = NULL;
-    int status;
-    BSQ_TRY(try_text(search, name, form));
-    if (search->path)
-        return 0;
-    BSQ_TRY(bsq_text_copy(search->ctx, name, &text));
-    if (fmt_mesh_unquote(text))
-        status = try_text(search, text, form);
-done:
-    bsq_free(search->ctx, text);
-    return status;
-}
-
-/* Sets search->path to the path of a file that does not exist, for messages. */
-static int name_missing(struct search *search, const char *name)
-{
-    const char *mapped;
-    char *text;
-    int status = bsq_text_copy(search->ctx, name, &text);
-    if (status)
-        return status;
-    if (!fmt_mesh_unquote(text))
-        fmt_mesh_tidy_name(text);
-    mapped = bsq_map_path(search->ctx, text);
-    status =
-        mapped ? fmt_path_beside(search->ctx, search->beside, mapped, &search->path) : BSQ_ENOMEM;
-    bsq_free(search->ctx, text);
-    return status;
-}
-
 int fmt_path_find(struct bsq_ctx *ctx, const char *beside, const char *name, char **out,
                   bool *exists)
 {
     struct search search = {.ctx = ctx, .beside = beside};
-    int status = 0;
-    for (enum form form = AS_WRITTEN; form < FORM_COUNT && !status && !search.path; form++)
-        status = try_form(&search, name, form);
+    char *bare = NULL;
+    const char *mapped;
+    int status;
+    BSQ_TRY(bsq_text_copy(ctx, name, &bare));
+    const bool quoted = fmt_mesh_unquote(bare);
+    for (enum form form = AS_WRITTEN; form < FORM_COUNT && !search.path; form++) {
+        BSQ_TRY(try_text(&search, name, form));
+        if (quoted && !search.path)
+            BSQ_TRY(try_text(&search, bare, form));
+    }
     if (exists)
         *exists = search.path != NULL;
-    if (!status && !search.path)
-        status = name_missing(&search, name);
+    if (search.path)
+        goto done;
+    if (!quoted)
+        fmt_mesh_tidy_name(bare);
+    mapped = bsq_map_path(ctx, bare);
+    status = mapped ? fmt_path_beside(ctx, beside, mapped, &search.path) : BSQ_ENOMEM;
+done:
+    bsq_free(ctx, bare);
     *out = search.path;
     return status;
 }
