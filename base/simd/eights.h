@@ -14,42 +14,20 @@ typedef int32_t eight_ints __attribute__((vector_size(32)));
 
 /* Without AVX, compilers compare vectors of eight one value at a time, so these are halved. */
 #ifndef __AVX2__
-typedef float eights_half __attribute__((vector_size(16)));
-typedef int32_t eights_half_mask __attribute__((vector_size(16)));
 /* Shuffles of the compiler would take them apart value by value. */
 union eights_halves {
     eights all;
-    eights_half half[2];
+    four_floats half[2];
 };
 #define EIGHTS_HALF(v, h)      ((union eights_halves){v}.half[h])
 #define EIGHTS_JOIN(low, high) ((union eights_halves){.half = {low, high}}.all)
 
-LANES_INLINE eights_half eights_half_min(eights_half a, eights_half b)
-{
-#ifdef __SSE2__
-    return _mm_min_ps(a, b);
-#else
-    const eights_half_mask less = a < b;
-    return (eights_half)((less & (eights_half_mask)a) | (~less & (eights_half_mask)b));
-#endif
-}
-
-LANES_INLINE eights_half eights_half_max(eights_half a, eights_half b)
-{
-#ifdef __SSE2__
-    return _mm_max_ps(a, b);
-#else
-    const eights_half_mask more = a > b;
-    return (eights_half)((more & (eights_half_mask)a) | (~more & (eights_half_mask)b));
-#endif
-}
-
-LANES_INLINE uint32_t eights_half_not_above(eights_half a, eights_half b)
+LANES_INLINE uint32_t eights_half_not_above(four_floats a, four_floats b)
 {
 #ifdef __SSE2__
     return (uint32_t)_mm_movemask_ps(_mm_cmple_ps(a, b));
 #else
-    const eights_half_mask bits = (a <= b) & (eights_half_mask){1, 2, 4, 8};
+    const four_ints bits = (a <= b) & (four_ints){1, 2, 4, 8};
     return (uint32_t)(bits[0] | bits[1] | bits[2] | bits[3]);
 #endif
 }
@@ -62,7 +40,7 @@ LANES_INLINE eights eights_splat(float f)
 #ifdef __AVX2__
     return _mm256_set1_ps(f);
 #else
-    const eights_half half = f - (eights_half){0};
+    const four_floats half = f - (four_floats){0};
     return EIGHTS_JOIN(half, half);
 #endif
 }
@@ -85,8 +63,8 @@ LANES_INLINE eights eights_of_bytes(const uint8_t bytes[8])
     return _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(words));
 #elif defined __SSE4_1__
     const __m128i words = _mm_loadl_epi64((const __m128i *)(const void *)bytes);
-    const eights_half low = _mm_cvtepi32_ps(_mm_cvtepu8_epi32(words));
-    const eights_half high = _mm_cvtepi32_ps(_mm_cvtepu8_epi32(_mm_srli_si128(words, 4)));
+    const four_floats low = _mm_cvtepi32_ps(_mm_cvtepu8_epi32(words));
+    const four_floats high = _mm_cvtepi32_ps(_mm_cvtepu8_epi32(_mm_srli_si128(words, 4)));
     return EIGHTS_JOIN(low, high);
 #else
     eights all = {0};
@@ -102,8 +80,8 @@ LANES_INLINE eights eights_min(eights a, eights b)
 #ifdef __AVX2__
     return _mm256_min_ps(a, b);
 #else
-    return EIGHTS_JOIN(eights_half_min(EIGHTS_HALF(a, 0), EIGHTS_HALF(b, 0)),
-                       eights_half_min(EIGHTS_HALF(a, 1), EIGHTS_HALF(b, 1)));
+    return EIGHTS_JOIN(four_floats_min(EIGHTS_HALF(a, 0), EIGHTS_HALF(b, 0)),
+                       four_floats_min(EIGHTS_HALF(a, 1), EIGHTS_HALF(b, 1)));
 #endif
 }
 
@@ -112,8 +90,8 @@ LANES_INLINE eights eights_max(eights a, eights b)
 #ifdef __AVX2__
     return _mm256_max_ps(a, b);
 #else
-    return EIGHTS_JOIN(eights_half_max(EIGHTS_HALF(a, 0), EIGHTS_HALF(b, 0)),
-                       eights_half_max(EIGHTS_HALF(a, 1), EIGHTS_HALF(b, 1)));
+    return EIGHTS_JOIN(four_floats_max(EIGHTS_HALF(a, 0), EIGHTS_HALF(b, 0)),
+                       four_floats_max(EIGHTS_HALF(a, 1), EIGHTS_HALF(b, 1)));
 #endif
 }
 

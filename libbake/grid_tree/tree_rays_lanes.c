@@ -29,8 +29,6 @@ enum { SINGLE_RAYS_MOST = 24 };
 
 /* ---- nodes ---- */
 
-typedef float four_floats __attribute__((vector_size(16)));
-typedef int32_t four_ints __attribute__((vector_size(16)));
 typedef uint32_t four_uints __attribute__((vector_size(16)));
 
 static four_floats load_floats(const void *from, size_t offset)
