@@ -22,6 +22,8 @@ passed=$((passed + $(grep -c '^ok' "$out"))) failed=$((failed + $(grep -c '^not 
 check "blender.py ends" $code
 mkdir unpacked && python3 -m zipfile -e "$extension" unpacked
 holds "the wheel is as it was made" cmp unpacked/wheels/bisque-*.whl "$(dirname "$extension")"/../wheel/bisque-*.whl
+holds "one cffi serves both Pythons of Blender" [ "$(python3 -m zipfile -l unpacked/wheels/cffi-*-cp311.cp313-*.whl |
+    grep -c '^_cffi_backend.cpython-31[13]-')" = 2 ]
 version=$(sed -n 's/^version = "\(.*\)"/\1/p' unpacked/blender_manifest.toml)
 holds "the extension has the version of the programs" [ "$("$BIN/bisque-bake" --version)" = "bisque-bake $version" ]
 holds "the extension stays below 900 lines" [ "$(cat "$top"/tools/blender/bisque/*.* | wc -l)" -lt 900 ]

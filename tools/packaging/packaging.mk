@@ -67,6 +67,16 @@ image: deb
 check-image: tests-build
 	@IMAGE=$(image) BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh tests/doors/check_image.sh
 
+released := build/release-$(VERSION)
+.PHONY: release
+## release: build/release-VERSION with the wheel, the extension, the last commit's sources, Debian packages and image, and checksums (needs root)
+release: wheel extension image
+	rm -rf $(released)
+	mkdir -p $(released)
+	cp $(wheel)/*.whl $(dist) $(image) build/deb/*.deb $(released)
+	cp $(extension)/bisque.zip $(released)/bisque-$(VERSION)-blender.zip
+	cd $(released) && sha256sum * >SHA256SUMS
+
 ## deb: build/deb with Debian packages of the last commit (installs missing packages)
 deb: deps-deb dist
 	tools/packaging/make-deb.sh $(dist) build/deb

@@ -4,7 +4,8 @@ wheel := $(BUILD)/wheel
 extension := $(BUILD)/extension
 
 # Its time tells whether the package in it is as new as its sources.
-$(venv)/installed: $(wildcard tools/python/*.* tools/python/bisque/*.py) $(archives) $(bins) \
+$(venv)/installed: $(wildcard tools/python/*.* tools/python/bisque/*.py man/*.1) $(archives) $(bins) \
+    $(helpers) $(report_parts) \
     | deps-python
 	python3 -m venv $(venv)
 	BISQUE_BUILD=$(BUILD) $(venv)/bin/pip install -q './tools/python[test]'
@@ -39,15 +40,20 @@ $(wheel)/made: $(venv)/installed
 
 ## extension: build/CONFIG/extension/bisque.zip for Blender: tools/blender, the wheel and what it needs (PyPI)
 extension: $(extension)/bisque.zip
-# Blender 4.2 to 5.0 have Python 3.11, and numpy.
-blender_python ?= 3.11
+# Blender 4.2 to 5.0 have Python 3.11, 5.1 to 5.3 have 3.13, all with numpy. Of wheels of one name and version
+# Blender takes any, so those of cffi, whose files have different names, become one.
+blender_pythons := 3.11 3.13
 $(extension)/bisque.zip: $(wheel)/made $(wildcard tools/blender/bisque/*.*)
 	rm -rf $(extension)
 	mkdir -p $(extension)/bisque/wheels
 	cp tools/blender/bisque/*.* $(extension)/bisque
 	cp $(wheel)/*.whl $(extension)/bisque/wheels
-	$(venv)/bin/pip download -q --no-deps --only-binary=:all: --python-version $(blender_python) \
-	    -d $(extension)/bisque/wheels 'cffi>=1.15' pycparser 'uvunwrap>=0.3'
+	for python in $(blender_pythons); do $(venv)/bin/pip download -q --no-deps --only-binary=:all: \
+	    --python-version $$python -d $(extension)/cffi 'cffi>=1.15' pycparser 'uvunwrap>=0.3' || exit; done
+	mv $(extension)/cffi/[!c]*.whl $(extension)/bisque/wheels
+	cd $(extension)/cffi && for part in *.whl; do python3 -m zipfile -e $$part all; cat all/*/WHEEL; done | \
+	    sed '/^$$/d' | awk '!seen[$$0]++' >tags && mv tags all/cffi-*.dist-info/WHEEL
+	$(venv)/bin/wheel pack -d $(extension)/bisque/wheels $(extension)/cffi/all >/dev/null
 	cd $(extension)/bisque && list=$$(printf '"./%s", ' wheels/*.whl) && \
 	    sed -i "/^license/a wheels = [$${list%, }]" blender_manifest.toml && python3 -m zipfile -c ../bisque.zip *
 
