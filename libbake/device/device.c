@@ -187,7 +187,7 @@ done:
 static int device_find(struct bake_device *device, const char *name)
 {
     int status = 0;
-    if (bake_ray_count(&device->scene.params) > 0) {
+    if (bk_ray_count(&device->scene.params) > 0) {
         BSQ_TRY(bake_tree_build(device->ctx, device->scene.grid, &device->tree));
         device->scene.tree = &device->tree;
     }

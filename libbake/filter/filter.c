@@ -53,24 +53,42 @@ struct work {
     uint64_t capacity;
 };
 
-static bool filter_is_valid(const float *texel)
+/* ---- texels ---- */
+
+typedef void texel_fn(struct work *work, float *texel);
+
+struct visit {
+    struct work *work;
+    texel_fn *fn;
+};
+
+static int visit_band(void *arg, uint32_t first_row, uint32_t rows, float *texels)
 {
-    return texel[0] > 0.0f;
+    const struct visit *visit = arg;
+    const uint32_t channels = visit->work->channels;
+    const float *end = texels + (size_t)rows * visit->work->width * channels;
+    (void)first_row;
+    for (float *texel = texels; texel < end; texel += channels)
+        if (texel[0] > 0.0f)
+            visit->fn(visit->work, texel);
+    return bsq_check(visit->work->ctx);
+}
+
+/* Calls fn for all valid texels, in the order of the image. */
+static int visit_texels(struct work *work, bool change, texel_fn *fn)
+{
+    struct visit visit = {work, fn};
+    return bake_image_bands(work->ctx, work->filter->image, BAND_ROWS, change, visit_band, &visit);
 }
 
 /* ---- layers ---- */
 
-static int widen_bounds(void *arg, uint32_t first_row, uint32_t rows, float *texels)
+static void widen_bounds(struct work *work, float *texel)
 {
-    struct work *work = arg;
-    const float *end = texels + (size_t)rows * work->width * work->channels;
-    (void)first_row;
-    for (const float *texel = texels; texel < end; texel += work->channels)
-        for (int k = 0; k < 3 && filter_is_valid(texel); k++) {
-            work->low[k] = fminf(work->low[k], texel[work->filter->guide + (uint32_t)k]);
-            work->high[k] = fmaxf(work->high[k], texel[work->filter->guide + (uint32_t)k]);
-        }
-    return bsq_check(work->ctx);
+    for (int k = 0; k < 3; k++) {
+        work->low[k] = fminf(work->low[k], texel[work->filter->guide + (uint32_t)k]);
+        work->high[k] = fmaxf(work->high[k], texel[work->filter->guide + (uint32_t)k]);
+    }
 }
 
 static uint32_t cell_along(const struct work *work, const float *guide, int axis)
@@ -89,15 +107,9 @@ static uint64_t filter_cell_of(const struct work *work, const float *guide)
     return (uint64_t)row << 32 | cell_along(work, guide, (work->axis + 2) % 3);
 }
 
-static int count_layers(void *arg, uint32_t first_row, uint32_t rows, float *texels)
+static void count_layers(struct work *work, float *texel)
 {
-    struct work *work = arg;
-    const float *end = texels + (size_t)rows * work->width * work->channels;
-    (void)first_row;
-    for (const float *texel = texels; texel < end; texel += work->channels)
-        if (filter_is_valid(texel))
-            work->ends[layer_of(work, texel)]++;
-    return bsq_check(work->ctx);
+    work->ends[layer_of(work, texel)]++;
 }
 
 /* Chooses the layers, and counts the texels in them. */
@@ -108,8 +120,7 @@ static int make_layers(struct work *work)
         work->low[k] = INFINITY;
         work->high[k] = -INFINITY;
     }
-    BSQ_PASS(
-        bake_image_bands(work->ctx, work->filter->image, BAND_ROWS, false, widen_bounds, work));
+    BSQ_PASS(visit_texels(work, false, widen_bounds));
     for (int k = 1; k < 3; k++)
         if (work->high[k] - work->low[k] > work->high[work->axis] - work->low[work->axis])
             work->axis = k;
@@ -120,8 +131,7 @@ static int make_layers(struct work *work)
     work->layer_count = (uint32_t)(extent / work->cell) + 1;
     BSQ_PASS(BSQ_CALLOC(work->ctx, "layers of texels", work->layer_count, &work->ends));
     BSQ_PASS(BSQ_CALLOC(work->ctx, "layers of texels", work->layer_count, &work->next));
-    BSQ_PASS(
-        bake_image_bands(work->ctx, work->filter->image, BAND_ROWS, false, count_layers, work));
+    BSQ_PASS(visit_texels(work, false, count_layers));
     for (uint32_t i = 1; i < work->layer_count; i++)
         work->ends[i] += work->ends[i - 1];
     return 0;
@@ -137,8 +147,6 @@ static uint64_t before(const struct work *work, uint32_t layer)
 
 static bool is_in_window(const struct work *work, const float *texel, uint32_t *layer)
 {
-    if (!filter_is_valid(texel))
-        return false;
     *layer = layer_of(work, texel);
     return *layer >= work->begin && *layer < work->end;
 }
@@ -149,55 +157,37 @@ static void filter_begin_reading(struct work *work)
         work->next[i] = before(work, i) - before(work, work->begin);
 }
 
-static int take_points(void *arg, uint32_t first_row, uint32_t rows, float *texels)
+static void take_points(struct work *work, float *texel)
 {
-    struct work *work = arg;
-    const float *end = texels + (size_t)rows * work->width * work->channels;
+    const float *guide = texel + work->filter->guide;
     uint32_t layer;
-    (void)first_row;
-    for (const float *texel = texels; texel < end; texel += work->channels) {
-        const float *guide = texel + work->filter->guide;
-        if (!is_in_window(work, texel, &layer))
-            continue;
-        struct point *point = &work->points[work->next[layer]];
-        *point =
-            (struct point){.at = bsq_v3(guide[0], guide[1], guide[2]),
-                           .normal = bsq_v3(guide[NORMAL], guide[NORMAL + 1], guide[NORMAL + 2]),
-                           .cell = filter_cell_of(work, guide)};
-        for (uint32_t i = 0; i < work->filter->count; i++)
-            point->values[i] = texel[work->filter->offsets[i]];
-        work->sorted[work->next[layer]++] = point;
-    }
-    return bsq_check(work->ctx);
+    if (!is_in_window(work, texel, &layer))
+        return;
+    struct point *point = &work->points[work->next[layer]];
+    *point = (struct point){.at = bsq_v3(guide[0], guide[1], guide[2]),
+                            .normal = bsq_v3(guide[NORMAL], guide[NORMAL + 1], guide[NORMAL + 2]),
+                            .cell = filter_cell_of(work, guide)};
+    for (uint32_t i = 0; i < work->filter->count; i++)
+        point->values[i] = texel[work->filter->offsets[i]];
+    work->sorted[work->next[layer]++] = point;
 }
 
 /* Puts the results where the filter has room in the image. */
-static int put_results(void *arg, uint32_t first_row, uint32_t rows, float *texels)
+static void put_results(struct work *work, float *texel)
 {
-    struct work *work = arg;
-    const float *end = texels + (size_t)rows * work->width * work->channels;
     uint32_t layer;
-    (void)first_row;
-    for (float *texel = texels; texel < end; texel += work->channels) {
-        if (!is_in_window(work, texel, &layer))
-            continue;
-        const struct point *point = &work->points[work->next[layer]++];
-        if (layer >= work->first && layer < work->last)
-            memcpy(texel + work->filter->guide + RESULT, point->results, sizeof point->results);
-    }
-    return bsq_check(work->ctx);
+    if (!is_in_window(work, texel, &layer))
+        return;
+    const struct point *point = &work->points[work->next[layer]++];
+    if (layer >= work->first && layer < work->last)
+        memcpy(texel + work->filter->guide + RESULT, point->results, sizeof point->results);
 }
 
 /* Makes the results of all texels their values. */
-static int take_results(void *arg, uint32_t first_row, uint32_t rows, float *texels)
+static void take_results(struct work *work, float *texel)
 {
-    const struct work *work = arg;
-    const float *end = texels + (size_t)rows * work->width * work->channels;
-    (void)first_row;
-    for (float *texel = texels; texel < end; texel += work->channels)
-        for (uint32_t i = 0; i < work->filter->count && filter_is_valid(texel); i++)
-            texel[work->filter->offsets[i]] = texel[work->filter->guide + RESULT + i];
-    return bsq_check(work->ctx);
+    for (uint32_t i = 0; i < work->filter->count; i++)
+        texel[work->filter->offsets[i]] = texel[work->filter->guide + RESULT + i];
 }
 
 /* By cell, and in a cell in the order of the image. */
@@ -337,13 +327,12 @@ static int choose_window(struct work *work, uint32_t first, uint64_t most)
 
 static int filter_window(struct work *work)
 {
-    struct bake_image *image = work->filter->image;
     filter_begin_reading(work);
-    BSQ_PASS(bake_image_bands(work->ctx, image, BAND_ROWS, false, take_points, work));
+    BSQ_PASS(visit_texels(work, false, take_points));
     BSQ_PASS(bsq_parallel_for(work->ctx, work->end - work->begin, sort_layer, work));
     BSQ_PASS(bsq_parallel_for(work->ctx, work->last - work->first, filter_layer, work));
     filter_begin_reading(work);
-    return bake_image_bands(work->ctx, image, BAND_ROWS, true, put_results, work);
+    return visit_texels(work, true, put_results);
 }
 
 int bake_filter(struct bsq_ctx *ctx, const struct bake_filter *filter)
@@ -367,7 +356,7 @@ int bake_filter(struct bsq_ctx *ctx, const struct bake_filter *filter)
         BSQ_TRY(filter_window(&work));
     }
     if (work.layer_count > 0)
-        BSQ_TRY(bake_image_bands(ctx, filter->image, BAND_ROWS, true, take_results, &work));
+        BSQ_TRY(visit_texels(&work, true, take_results));
 done:
     bsq_progress_end(ctx);
     BSQ_FREE(ctx, work.points, work.sorted, work.next, work.ends);

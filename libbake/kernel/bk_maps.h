@@ -184,6 +184,25 @@ BK_FN bk_uint bk_transfer_sums(bk_uint maps)
     return bk_texel_floats(maps) - BK_TRANSFER_VALUES * bk_transfers(maps);
 }
 
+/* Maps that need open rays. */
+#define BK_OPEN_MAPS (1u << BK_MAP_ao | 1u << BK_MAP_bent)
+
+/* Return the number of open rays, and of rays into the solid, that maps need from a hit. */
+BK_FN bk_uint bk_open_rays(const bk_params *params)
+{
+    return params->maps & BK_OPEN_MAPS ? params->open_rays : 0;
+}
+
+BK_FN bk_uint bk_solid_rays(const bk_params *params)
+{
+    return params->maps & 1u << BK_MAP_thickness ? params->thickness_rays : 0;
+}
+
+BK_FN bk_uint bk_ray_count(const bk_params *params)
+{
+    return bk_open_rays(params) + bk_solid_rays(params);
+}
+
 BK_FN void bk_clear_texel(bk_uint maps, BK_GLOBAL float *texel)
 {
     const bk_uint count = bk_texel_floats(maps);

@@ -22,7 +22,6 @@
 #ifndef BAKE_KERNEL_BK_SECONDARY_H
 #define BAKE_KERNEL_BK_SECONDARY_H
 
-#include "bk_maps.h"
 #include "bk_trace.h"
 
 /* Distance above the hit at which open rays start, in voxels. It is larger than the margin of any
@@ -63,22 +62,6 @@ typedef struct bk_viewpoint {
     bk_uint crowded; /* not 0: of bk_find_crowded(); both kinds of rays start on the surface */
     bk_share share;
 } bk_viewpoint;
-
-/* Return the number of open rays, and of rays into the solid, that maps need from a hit. */
-BK_FN bk_uint bk_open_rays(const bk_params *params)
-{
-    return params->maps & BK_OPEN_MAPS ? params->open_rays : 0;
-}
-
-BK_FN bk_uint bk_solid_rays(const bk_params *params)
-{
-    return params->maps & 1u << BK_MAP_thickness ? params->thickness_rays : 0;
-}
-
-BK_FN bk_uint bk_ray_count(const bk_params *params)
-{
-    return bk_open_rays(params) + bk_solid_rays(params);
-}
 
 /* Seeds of the directions of rays into the solid differ from those of open rays in these bits. */
 #define BK_SOLID_SEED 4u

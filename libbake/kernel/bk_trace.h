@@ -10,6 +10,7 @@
 #define BAKE_KERNEL_BK_TRACE_H
 
 #include "bk_cross.h"
+#include "bk_maps.h"
 
 /* Cosine below which a ray is too flat for its hit to be moved onto the blended surface. */
 #define BK_GRAZING 0.1f
@@ -277,9 +278,6 @@ BK_FN bk_crossing bk_nearest(const bk_grid *grid, const bk_params *params, bk_ca
 }
 
 /* ---- tracing ---- */
-
-/* Maps that need open rays. */
-#define BK_OPEN_MAPS (1u << BK_MAP_ao | 1u << BK_MAP_bent)
 
 /* Hits of lines. */
 typedef struct bk_hits {

@@ -350,7 +350,7 @@ static int cuda_open(struct bake_gpu *gpu, uint32_t number, const struct bake_sc
     gpu->buffer_bytes = gpu->array_bytes = UINT64_MAX;
     BSQ_PASS(bake_gpu_fail(gpu, cuda_open_context(cuda)));
     BSQ_PASS(load_kernel(cuda, BAKE_PATCH));
-    if (bake_ray_count(&scene->params) > 0)
+    if (bk_ray_count(&scene->params) > 0)
         BSQ_PASS(load_kernel(cuda, BAKE_LOOK));
     return bake_gpu_fail(gpu, free_memory(cuda, &gpu->memory_bytes));
 }

@@ -40,14 +40,14 @@ static uint64_t texel_bytes(const struct bake_gpu *gpu, uint64_t texels)
 
 static uint64_t point_bytes(const struct bake_gpu *gpu)
 {
-    return bake_ray_count(&gpu->params) > 0
+    return bk_ray_count(&gpu->params) > 0
                ? bake_batch_samples(&gpu->params) * sizeof(struct bk_viewpoint)
                : 0;
 }
 
 static uint64_t found_bytes(const struct bake_gpu *gpu)
 {
-    return bake_batch_samples(&gpu->params) * bake_ray_count(&gpu->params) * sizeof(float);
+    return bake_batch_samples(&gpu->params) * bk_ray_count(&gpu->params) * sizeof(float);
 }
 
 static uint64_t worker_bytes(const struct bake_gpu *gpu)
@@ -309,7 +309,7 @@ static struct bake_failure launch_look(struct bake_gpu *gpu, struct bake_stream 
                                        uint32_t count)
 {
     struct bake_launch launch = begin_launch(gpu, BAKE_LOOK);
-    launch.width = bake_ray_count(&gpu->params);
+    launch.width = bk_ray_count(&gpu->params);
     launch.height = count;
     for (launch.side = 1; launch.side < launch.width && launch.side < 32;)
         launch.side *= 2;
@@ -326,7 +326,7 @@ static struct bake_failure launch_batch(struct bake_gpu *gpu, struct bake_stream
     const uint32_t samples = (batch->end_row - batch->first_row) *
                              (batch->end_column - batch->first_column) *
                              (batch->end_line - batch->first_line) * gpu->params.samples;
-    if (bake_ray_count(&gpu->params) == 0)
+    if (bk_ray_count(&gpu->params) == 0)
         return launch_patch(gpu, stream, patch, batch, BK_ADD);
     BAKE_TRY_CALL(launch_patch(gpu, stream, patch, batch, BK_POINTS));
     BAKE_TRY_CALL(launch_look(gpu, stream, samples));
@@ -375,7 +375,7 @@ static struct bake_failure open_worker(struct bake_gpu *gpu, struct bake_stream 
     BAKE_TRY_CALL(driver->open_stream(gpu, stream));
     BAKE_TRY_CALL(driver->allocate(gpu, sample_bytes(gpu, gpu->patch_texels), &stream->samples));
     BAKE_TRY_CALL(driver->allocate(gpu, texel_bytes(gpu, gpu->patch_texels), &stream->texels));
-    if (bake_ray_count(&gpu->params) > 0) {
+    if (bk_ray_count(&gpu->params) > 0) {
         BAKE_TRY_CALL(driver->allocate(gpu, point_bytes(gpu), &stream->points));
         BAKE_TRY_CALL(driver->allocate(gpu, found_bytes(gpu), &stream->found));
     }

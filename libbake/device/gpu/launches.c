@@ -17,7 +17,7 @@ static uint32_t max_u32(uint32_t a, uint32_t b)
 
 uint32_t bake_batch_samples(const struct bk_params *params)
 {
-    const uint32_t rays = bake_ray_count(params);
+    const uint32_t rays = bk_ray_count(params);
     const uint32_t most = rays > 0 ? BAKE_BATCH_RAYS / rays : BAKE_BATCH_SAMPLES;
     return max_u32(min_u32(most, BAKE_BATCH_SAMPLES), params->samples);
 }

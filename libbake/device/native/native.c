@@ -39,8 +39,9 @@ int bake_native_trace(struct bake_native *native, const struct bk_patch *patch,
                       const uint32_t *sample_triangles, float *texels, unsigned worker)
 {
     const uint64_t texel_samples = (uint64_t)native->params.samples * native->params.samples;
+    /* Counts rays in pairs of primary rays. */
     const uint32_t rows =
-        band_rows(patch->width * texel_samples * bake_sample_cost(&native->params));
+        band_rows(patch->width * texel_samples * (1 + bk_ray_count(&native->params) / 2));
     const struct bake_native_memory memory = native->tree
                                                  ? memory_of(native->tree, &native->workers, worker)
                                                  : (struct bake_native_memory){0};

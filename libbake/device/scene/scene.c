@@ -8,7 +8,6 @@
 #include <string.h>
 
 #include "libbake/kernel/bk_srgb.h"
-#include "libbake/kernel/bk_secondary.h"
 
 _Static_assert(sizeof(struct bk_triangle) == 200, "layout shared with devices");
 _Static_assert(sizeof(struct bk_patch) == 16, "layout shared with devices");
@@ -133,14 +132,4 @@ void bake_list_arrays(const struct bake_scene *scene, struct bake_grid_arrays *o
         out->bytes += array->bytes;
         out->largest = array->bytes > out->largest ? array->bytes : out->largest;
     }
-}
-
-uint32_t bake_ray_count(const struct bk_params *params)
-{
-    return bk_ray_count(params);
-}
-
-uint32_t bake_sample_cost(const struct bk_params *params)
-{
-    return 1 + bk_ray_count(params) / 2;
 }

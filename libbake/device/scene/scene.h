@@ -77,10 +77,4 @@ struct bake_grid_arrays {
  * exist. Allocates nothing. */
 void bake_list_arrays(const struct bake_scene *scene, struct bake_grid_arrays *out);
 
-/* Returns how many rays start at each hit. */
-uint32_t bake_ray_count(const struct bk_params *params);
-
-/* Returns the cost of a sample, secondary rays included, in pairs of primary rays. */
-uint32_t bake_sample_cost(const struct bk_params *params);
-
 #endif
