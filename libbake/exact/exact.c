@@ -26,10 +26,9 @@ done:
 }
 
 /* Chooses the normals of hits. */
-static int exact_choose_normals(struct bake_exact *exact)
+static int exact_choose_normals(struct bake_exact *exact, enum bsq_scan_normals wanted)
 {
-    const enum bsq_scan_normals wanted = exact->options.normals, has = exact->header->made_normals;
-    const char *path = exact->options.path;
+    const enum bsq_scan_normals has = exact->header->made_normals;
     if (exact->header->attributes & FMT_TRIS_NORMALS || wanted == BSQ_SCAN_NORMALS_FLAT)
         return 0;
     exact->smooth = has != 0;
@@ -39,42 +38,39 @@ static int exact_choose_normals(struct bake_exact *exact)
         exact->ctx, BSQ_EUSAGE,
         "%s has %s normals: \"bisque-voxelize %s -o FILE.tris --scan-normals %s\" makes "
         "a file with those",
-        path,
+        exact->path,
         has == 0                       ? "no"
         : has == BSQ_SCAN_NORMALS_AREA ? "smooth (area)"
                                        : fmt_tris_normals_text(has),
-        path, fmt_tris_normals_text(wanted));
+        exact->path, fmt_tris_normals_text(wanted));
 }
 
-static int exact_open_file(struct bake_exact *exact)
+static int exact_open_file(struct bake_exact *exact, enum bsq_scan_normals normals)
 {
-    BSQ_PASS(fmt_tris_open(exact->ctx, exact->options.path, &exact->file));
+    BSQ_PASS(fmt_tris_open(exact->ctx, exact->path, &exact->file));
     exact->header = fmt_tris_get_header(exact->file);
-    exact->shading = (struct fmt_shading){.ctx = exact->ctx,
-                                          .path = exact->options.path,
-                                          .file = exact->file,
-                                          .header = exact->header};
+    exact->shading = (struct fmt_shading){
+        .ctx = exact->ctx, .path = exact->path, .file = exact->file, .header = exact->header};
     exact->chunks = fmt_tris_chunks(exact->file);
     if (exact->header->chunk_count == 0 || exact->header->chunk_count > EXACT_TREE_BOXES)
         return bsq_fail(exact->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks: must be 1 to %" PRIu32,
-                        exact->options.path, exact->header->chunk_count, EXACT_TREE_BOXES);
+                        exact->path, exact->header->chunk_count, EXACT_TREE_BOXES);
     exact->chunk_count = (uint32_t)exact->header->chunk_count;
     exact->simd = bsq_simd_best();
-    BSQ_PASS(exact_choose_normals(exact));
+    BSQ_PASS(exact_choose_normals(exact, normals));
     return build_chunk_tree(exact);
 }
 
-int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *options,
+int bake_exact_open(struct bsq_ctx *ctx, const char *path, const struct bake_options *options,
                     struct bake_exact **out)
 {
     struct bake_exact *exact;
     *out = NULL;
     BSQ_PASS(BSQ_CALLOC(ctx, "scan", 1, &exact));
-    exact->ctx = ctx;
-    exact->options = *options;
+    *exact = (struct bake_exact){.ctx = ctx, .path = path, .two_sided = options->two_sided};
     int status = BSQ_CALLOC(ctx, "scan", 1, &exact->loads);
     if (status == 0)
-        status = exact_open_file(exact);
+        status = exact_open_file(exact, options->scan_normals);
     if (status < 0)
         bake_exact_close(exact);
     else
@@ -121,16 +117,16 @@ static uint64_t cache_bytes(const struct bake_exact *exact)
     return bytes < least ? least : bytes > most ? most : bytes;
 }
 
-int bake_exact_use(struct bake_exact *exact, const struct bake_exact_attributes *attributes)
+int bake_exact_use(struct bake_exact *exact, const struct bake_options *options, uint32_t maps)
 {
     struct fmt_shading *shading = &exact->shading;
-    if (attributes->color)
+    if (maps & BAKE_MAP_COLOR)
         BSQ_PASS(fmt_shading_add_color(shading));
-    for (uint32_t i = 0; i < attributes->transfer_count; i++)
-        BSQ_PASS(fmt_shading_add_channel(shading, attributes->transfers[i].name,
-                                         attributes->transfers[i].texture_path));
-    BSQ_PASS(fmt_shading_add_normal_map(shading, attributes->normal_map));
-    if (attributes->ids && exact->header->ids != FMT_IDS_NONE)
+    for (uint32_t i = 0; i < options->transfer_count; i++)
+        BSQ_PASS(fmt_shading_add_channel(shading, options->transfers[i].name,
+                                         options->transfers[i].texture_path));
+    BSQ_PASS(fmt_shading_add_normal_map(shading, options->scan_normal_map));
+    if (maps & BAKE_MAP_ID && exact->header->ids != FMT_IDS_NONE)
         BSQ_PASS(fmt_shading_add_ids(shading));
     return fmt_shading_open_textures(shading, cache_bytes(exact));
 }

@@ -16,15 +16,11 @@
 
 struct bake_exact;
 
-struct bake_exact_options {
-    const char *path;              /* the chunk file; lives until bake_exact_close() */
-    enum bsq_scan_normals normals; /* if the scan has none of its own; those that the file has */
-    bool two_sided;                /* also hit surfaces that face away; turns their normals */
-};
-
-/* Opens a scan; close *out with bake_exact_close(). Errors: those of fmt_tris_open(), BSQ_ENOMEM;
- * BSQ_EUSAGE if the file has other normals than these. */
-int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *options,
+/* Opens a scan; close *out with bake_exact_close(), until when the path lives. Of the options: the
+ * normals if the scan has none of its own, and whether rays also hit surfaces that face away, whose
+ * normals are turned. Errors: those of fmt_tris_open(), BSQ_ENOMEM; BSQ_EUSAGE if the file has
+ * other normals than these. */
+int bake_exact_open(struct bsq_ctx *ctx, const char *path, const struct bake_options *options,
                     struct bake_exact **out);
 void bake_exact_close(struct bake_exact *exact); /* NULL is allowed */
 /* Returns what the chunk files say of the scan; valid until it is closed. */
@@ -32,21 +28,13 @@ const struct fmt_tris_header *bake_exact_header(const struct bake_exact *exact);
 /* Returns the number of chunks that were loaded so far, counted again each time. */
 uint64_t bake_exact_loads(const struct bake_exact *exact);
 
-/* What hits have besides a normal. All must live until bake_exact_close(). */
-struct bake_exact_attributes {
-    bool color, ids; /* if the scan has them */
-    /* Further channels of the scan, three values for each. A channel without a texture of the
-     * options must be in the chunk file. */
-    const struct bake_transfer *transfers;
-    uint32_t transfer_count;
-    /* The image of a normal map (base/geometry/vec.h) that is added to the scan's normals; NULL:
-     * what the chunk file keeps, if anything. What lies in no tile of it adds nothing. */
-    const char *normal_map;
-};
-
-/* Makes later batches evaluate attributes, and opens their textures. Call it at most once, not from
- * parallel work. Errors: those of fmt_shading_add_channel() and fmt_shading_open_textures(). */
-int bake_exact_use(struct bake_exact *exact, const struct bake_exact_attributes *attributes);
+/* Makes later batches evaluate what the maps need besides a normal, and the options' transfer maps,
+ * three values for each, and opens the textures. A normal map of the options is added to the scan's
+ * normals; without one, what the chunk file keeps, if anything. What lies in no tile of it adds
+ * nothing. Call it at most once, not from parallel work; the options' texts must live until
+ * bake_exact_close(). Errors: those of fmt_shading_add_channel() and fmt_shading_open_textures().
+ */
+int bake_exact_use(struct bake_exact *exact, const struct bake_options *options, uint32_t maps);
 
 /* ---- rays ---- */
 

@@ -40,7 +40,7 @@ struct exact_group {
 /* Which hits of a ray count: from its origin up to t_max. */
 struct exact_look_limits {
     double t_max;
-    bool facing_origin, two_sided; /* as in struct bake_ray_batch and bake_exact_options */
+    bool facing_origin, two_sided; /* as in struct bake_ray_batch and bake_exact */
     bool any;                      /* the first hit that is found will do */
 };
 

@@ -14,11 +14,12 @@
 
 struct bake_exact {
     struct bsq_ctx *ctx;
-    struct bake_exact_options options;
+    const char *path;
     struct fmt_tris_file *file;
     const struct fmt_tris_header *header;
     const struct fmt_tris_chunk_info *chunks;
     uint32_t chunk_count;
+    bool two_sided;         /* also hit surfaces that face away */
     bool smooth;            /* hits take the vertex normals that were made */
     enum bsq_simd simd;     /* instructions for tracing */
     struct exact_tree tree; /* over the chunks' bounds */
@@ -142,7 +143,7 @@ static inline bool exact_wins(double t, uint64_t triangle, double other_t, uint6
 /* Limits that a hit must meet to count. */
 struct exact_limits {
     double t_min, t_max, gap;
-    bool facing_origin, two_sided; /* as in struct bake_ray_batch and bake_exact_options */
+    bool facing_origin, two_sided; /* as in struct bake_ray_batch and bake_exact */
     bool from_reach;               /* as in struct bake_ray_batch */
 };
 

@@ -146,9 +146,9 @@ static void set_side(const struct bake_exact *exact, const struct place *place,
         (along == batch->facing_origin ? -1 : 1) / sqrt(bsq_dotd(place->cross, place->cross));
     for (int k = 0; k < 3; k++)
         hit->facet[k] = (float)(place->cross[k] * scale);
-    hit->reversed = exact->options.two_sided &&
-                    (along == batch->facing_origin) !=
-                        bake_exact_wound_backwards(&place->slot->chunk, place->triangle);
+    hit->reversed =
+        exact->two_sided && (along == batch->facing_origin) !=
+                                bake_exact_wound_backwards(&place->slot->chunk, place->triangle);
 }
 
 /* ---- colours ---- */

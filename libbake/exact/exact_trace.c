@@ -378,7 +378,7 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_ray_batch *batc
                                    .gap = batch->gap,
                                    .facing_origin = batch->facing_origin,
                                    .from_reach = batch->from_reach,
-                                   .two_sided = exact->options.two_sided}};
+                                   .two_sided = exact->two_sided}};
     int status = 0;
     if (batch->count == 0)
         return 0;

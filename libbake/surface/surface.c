@@ -62,10 +62,8 @@ static int check_exact(const struct bake_scan *scan, const struct bake_options *
 /* Opens a chunk file. */
 static int open_exact(struct bake_scan *scan, const struct bake_options *options)
 {
-    const struct bake_exact_options exact = {
-        .path = scan->path, .normals = options->scan_normals, .two_sided = options->two_sided};
     BSQ_PASS(check_exact(scan, options));
-    BSQ_PASS(bake_exact_open(scan->ctx, &exact, &scan->exact));
+    BSQ_PASS(bake_exact_open(scan->ctx, scan->path, options, &scan->exact));
     const struct fmt_tris_header *header = bake_exact_header(scan->exact);
     double side = 0;
     for (int k = 0; k < 3; k++) {

@@ -71,7 +71,7 @@ static int attributes_find_channel(const struct bake_scan *scan,
 }
 
 /* Finds the channels of transfer maps, and lets devices leave out what no map needs. */
-static int use_grid(struct bake_scan *scan, const struct bake_options *options, bool ids)
+static int use_grid(struct bake_scan *scan, const struct bake_options *options, uint32_t maps)
 {
     struct fmt_nvdb_grid *grid = &scan->grid;
     const uint32_t count = options->transfer_count;
@@ -80,7 +80,7 @@ static int use_grid(struct bake_scan *scan, const struct bake_options *options, 
                         "%s: a grid has no texture coordinates for the normal map %s; bake from "
                         "the chunk file, or give the image to bisque-voxelize",
                         scan->path, options->scan_normal_map);
-    if (!ids)
+    if (!(maps & BAKE_MAP_ID))
         grid->ids = NULL;
     if (count == 0)
         grid->channels = NULL;
@@ -91,17 +91,6 @@ static int use_grid(struct bake_scan *scan, const struct bake_options *options, 
     grid->transfers = scan->transfer_words;
     grid->transfer_count = count;
     return 0;
-}
-
-static int use_scan(struct bake_scan *scan, const struct bake_options *options, uint32_t maps)
-{
-    const bool ids = maps & BAKE_MAP_ID;
-    const struct bake_exact_attributes attributes = {.color = maps & BAKE_MAP_COLOR,
-                                                     .ids = ids,
-                                                     .transfers = options->transfers,
-                                                     .transfer_count = options->transfer_count,
-                                                     .normal_map = options->scan_normal_map};
-    return scan->exact ? bake_exact_use(scan->exact, &attributes) : use_grid(scan, options, ids);
 }
 
 int bake_surface_use(struct bake_surface *surface, const struct bake_options *options,
@@ -118,8 +107,11 @@ int bake_surface_use(struct bake_surface *surface, const struct bake_options *op
         return bsq_fail(surface->ctx, BSQ_EUSAGE,
                         "%s is the normal map of one scan, but there are %u scans", normal_map,
                         scans);
-    for (uint32_t s = 0; s < surface->scan_count; s++)
-        BSQ_PASS(use_scan(&surface->scans[s], options, maps));
+    for (uint32_t s = 0; s < surface->scan_count; s++) {
+        struct bake_scan *scan = &surface->scans[s];
+        BSQ_PASS(scan->exact ? bake_exact_use(scan->exact, options, maps)
+                             : use_grid(scan, options, maps));
+    }
     return 0;
 }
 

@@ -95,12 +95,11 @@ void exact_trace(const struct exact_setup *setup, const struct bake_ray *rays, u
                  struct bake_hit *hits)
 {
     struct bsq_ctx *ctx = test_context(setup->threads, setup->memory);
-    struct bake_exact_options options = {
-        .path = exact_scan_path, .normals = setup->normals, .two_sided = setup->two_sided};
+    const struct bake_options options = {.scan_normals = setup->normals,
+                                         .two_sided = setup->two_sided};
     struct bake_exact *exact;
-    assert_int_equal(bake_exact_open(ctx, &options, &exact), 0);
-    assert_int_equal(bake_exact_use(exact, &(struct bake_exact_attributes){.color = setup->color}),
-                     0);
+    assert_int_equal(bake_exact_open(ctx, exact_scan_path, &options, &exact), 0);
+    assert_int_equal(bake_exact_use(exact, &options, setup->color ? BAKE_MAP_COLOR : 0), 0);
     assert_int_equal(bake_exact_wants_footprints(exact), setup->footprint != NULL);
     uint32_t *footprints = setup->footprint ? calloc(count, 4) : NULL;
     uint64_t capacity = bake_exact_capacity(exact, 0);

@@ -193,12 +193,12 @@ TEST(test_damaged_chunk_is_reported)
     fputc(byte ^ 0x55, file);
     fclose(file);
     struct bsq_ctx *ctx = test_context(2, 0);
-    struct bake_exact_options options = {.path = exact_scan_path};
+    const struct bake_options options = {0};
     struct bake_exact *exact;
     struct bake_ray rays[400];
     struct bake_hit hits[400];
     exact_random_rays(rays, 400, -1, 1);
-    assert_int_equal(bake_exact_open(ctx, &options, &exact), 0);
+    assert_int_equal(bake_exact_open(ctx, exact_scan_path, &options, &exact), 0);
     struct bake_ray_batch batch = {
         .rays = rays, .hits = hits, .count = 400, .t_min = -3, .t_max = 3};
     assert_int_equal(bake_exact_trace(exact, &batch), BSQ_EDATA);

@@ -87,10 +87,9 @@ TEST(test_normals_are_those_of_the_file)
     assert_memory_not_equal(hits[BSQ_SCAN_NORMALS_AUTO].normal, hits[BSQ_SCAN_NORMALS_FLAT].normal,
                             12);
     struct bsq_ctx *ctx = test_context(1, 0);
-    struct bake_exact_options options = {.path = exact_scan_path,
-                                         .normals = BSQ_SCAN_NORMALS_ANGLE};
+    const struct bake_options options = {.scan_normals = BSQ_SCAN_NORMALS_ANGLE};
     struct bake_exact *exact;
-    assert_int_equal(bake_exact_open(ctx, &options, &exact), BSQ_EUSAGE);
+    assert_int_equal(bake_exact_open(ctx, exact_scan_path, &options, &exact), BSQ_EUSAGE);
     assert_non_null(strstr(bsq_error(ctx), "--scan-normals angle"));
     bsq_ctx_destroy(ctx);
     triangle_scan_free(&mesh);
