@@ -5,6 +5,7 @@
 
 #include "base/context.h"
 #include "base/job_files.h"
+#include "formats/asset/low_mesh.h"
 #include "libvoxel/simplify/steps.h"
 #include "libvoxel/temp_tris.h"
 
@@ -125,9 +126,14 @@ static int measure(struct simplifying *s, const struct vox_mesh *mesh, double en
 /* Writes the mesh as the output of a level. */
 static int write_level(struct simplifying *s, uint32_t level)
 {
+    const struct fmt_low_mesh mesh = {.positions = (const float(*)[3])s->mesh.positions,
+                                      .triangles = (const uint32_t(*)[3])s->mesh.triangles,
+                                      .materials = s->mesh.materials,
+                                      .vertex_count = s->mesh.vertex_count,
+                                      .triangle_count = s->mesh.triangle_count};
     struct bsq_output *output;
-    BSQ_PASS(vox_write_mesh(s->ctx, s->options->output_paths[level], &s->mesh, s->header,
-                            s->options->hard_angle, &output));
+    BSQ_PASS(fmt_low_mesh_write(s->ctx, s->options->output_paths[level], &mesh, s->header,
+                                s->options->hard_angle, &output));
     return bsq_output_group_add(&s->outputs, output);
 }
 
@@ -211,7 +217,7 @@ static int check_options(struct bsq_ctx *ctx, const struct vox_simplify_options 
                             options->targets[i]);
     for (uint32_t i = 0; i < outputs; i++) {
         const char *path = options->output_paths[i];
-        if (!vox_mesh_path_is_known(path))
+        if (!fmt_low_mesh_path_is_known(path))
             return bsq_fail(ctx, BSQ_EUSAGE,
                             "%s: the name of a mesh must end in .obj, .ply or .glb", path);
         int status = bsq_output_check(ctx, path);

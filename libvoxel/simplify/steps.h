@@ -2,7 +2,6 @@
 #ifndef VOX_SIMPLIFY_STEPS_H
 #define VOX_SIMPLIFY_STEPS_H
 
-#include "base/output.h"
 #include "formats/chunks/tris.h"
 #include "libvoxel/simplify/mesh.h"
 #include "libvoxel/voxel.h"
@@ -76,19 +75,5 @@ int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh,
 int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_mesh *mesh,
                 double enough, struct vox_distances *scan_to_mesh,
                 struct vox_distances *mesh_to_scan);
-
-/* ---- write_mesh.c: writes a low-poly mesh with its normals ---- */
-
-/* Returns whether meshes can be written under this name: it ends in .obj, .ply or .glb. */
-bool vox_mesh_path_is_known(const char *path);
-
-/* Writes a mesh to *out, which the caller commits. Origin and names of materials are the header's;
- * PLY files have no materials. The normal of a corner is the sum of its vertex's triangles whose
- * normals are within `hard_angle` degrees of its own one's, each weighted by its angle there
- * (Thuermer and Wuethrich, "Computing Vertex Normals from Polygonal Facets", 1998). Errors:
- * BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
-int vox_write_mesh(struct bsq_ctx *ctx, const char *path, const struct vox_mesh *mesh,
-                   const struct fmt_tris_header *header, double hard_angle,
-                   struct bsq_output **out);
 
 #endif

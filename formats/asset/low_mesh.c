@@ -1,5 +1,5 @@
-/* write_mesh.c - see steps.h. */
-#include "libvoxel/simplify/steps.h"
+/* low_mesh.c - finds the normals of corners, and writes the vertices that have each of them. */
+#include "formats/asset/low_mesh.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -24,7 +24,7 @@ struct ordered {
 
 struct writing {
     struct bsq_ctx *ctx;
-    const struct vox_mesh *mesh;
+    const struct fmt_low_mesh *mesh;
     const struct fmt_tris_header *header;
     double least_cosine;
     double (*faces)[3];         /* unit normals */
@@ -45,7 +45,7 @@ enum { BUFFER_BYTES = 1 << 18, CORNERS_CHECKED = 1 << 22 /* between two looks */
 
 /* ---- normals ---- */
 
-static void edge_of(const struct vox_mesh *mesh, uint32_t from, uint32_t to, double out[3])
+static void edge_of(const struct fmt_low_mesh *mesh, uint32_t from, uint32_t to, double out[3])
 {
     for (int k = 0; k < 3; k++)
         out[k] = (double)mesh->positions[to][k] - (double)mesh->positions[from][k];
@@ -59,7 +59,7 @@ static void make_unit(double v[3])
 }
 
 /* Returns the angle of a triangle at a corner in radians. */
-static double angle_at(const struct vox_mesh *mesh, uint32_t corner)
+static double angle_at(const struct fmt_low_mesh *mesh, uint32_t corner)
 {
     const uint32_t *triangle = mesh->triangles[corner / 3];
     const uint32_t at = triangle[corner % 3];
@@ -73,15 +73,18 @@ static double angle_at(const struct vox_mesh *mesh, uint32_t corner)
 static void face_normals(struct writing *w)
 {
     for (uint32_t t = 0; t < w->mesh->triangle_count; t++) {
-        vox_triangle_normal((const float(*)[3])w->mesh->positions, w->mesh->triangles[t],
-                            w->faces[t]);
+        const uint32_t *v = w->mesh->triangles[t];
+        double a[3], b[3];
+        edge_of(w->mesh, v[0], v[1], a);
+        edge_of(w->mesh, v[0], v[2], b);
+        bsq_crossd(a, b, w->faces[t]);
         make_unit(w->faces[t]);
     }
 }
 
-static void list_corners(struct writing *w)
+static void list_vertex_corners(struct writing *w)
 {
-    const struct vox_mesh *mesh = w->mesh;
+    const struct fmt_low_mesh *mesh = w->mesh;
     for (uint32_t c = 0; c < 3 * mesh->triangle_count; c++)
         w->starts[mesh->triangles[c / 3][c % 3] + 1]++;
     for (uint32_t v = 0; v < mesh->vertex_count; v++)
@@ -115,7 +118,7 @@ static bool corner_normal(const struct writing *w, uint32_t vertex, uint32_t cor
 }
 
 /* Normals of equal sums have equal numbers. */
-static bool is_same(const float a[3], const float b[3])
+static bool is_same_normal(const float a[3], const float b[3])
 {
     return a[0] == b[0] && a[1] == b[1] && a[2] == b[2];
 }
@@ -136,7 +139,7 @@ static int shade(struct writing *w)
                 memcpy(entry, &w->shaded[first], sizeof *entry);
             else
                 entry->common = corner_normal(w, v, w->corners[i], entry->normal);
-            while (same < w->shaded_count && !is_same(w->shaded[same].normal, entry->normal))
+            while (same < w->shaded_count && !is_same_normal(w->shaded[same].normal, entry->normal))
                 same++;
             w->shaded_of[w->corners[i]] = same;
             w->shaded_count += same == w->shaded_count;
@@ -216,7 +219,7 @@ static void write_material(struct writing *w, uint32_t material)
 
 static void write_obj(struct writing *w)
 {
-    const struct vox_mesh *mesh = w->mesh;
+    const struct fmt_low_mesh *mesh = w->mesh;
     const double *o = w->header->origin;
     for (uint32_t v = 0; v < mesh->vertex_count; v++) {
         const float *p = mesh->positions[v];
@@ -240,7 +243,7 @@ static void write_obj(struct writing *w)
 /* Positions are doubles if there is an origin, so that they keep their detail. */
 static void write_ply(struct writing *w)
 {
-    const struct vox_mesh *mesh = w->mesh;
+    const struct fmt_low_mesh *mesh = w->mesh;
     const double *origin = w->header->origin;
     const bool wide = origin[0] != 0 || origin[1] != 0 || origin[2] != 0;
     const char *type = wide ? "double" : "float";
@@ -332,15 +335,16 @@ static const char *ending_of(const char *path)
     return path + (length > 4 ? length - 4 : length);
 }
 
-bool vox_mesh_path_is_known(const char *path)
+bool fmt_low_mesh_path_is_known(const char *path)
 {
     const char *ending = ending_of(path);
     return strcasecmp(ending, ".obj") == 0 || strcasecmp(ending, ".ply") == 0 ||
            strcasecmp(ending, ".glb") == 0;
 }
 
-int vox_write_mesh(struct bsq_ctx *ctx, const char *path, const struct vox_mesh *mesh,
-                   const struct fmt_tris_header *header, double hard_angle, struct bsq_output **out)
+int fmt_low_mesh_write(struct bsq_ctx *ctx, const char *path, const struct fmt_low_mesh *mesh,
+                       const struct fmt_tris_header *header, double hard_angle,
+                       struct bsq_output **out)
 {
     static const char what[] = "writing a mesh";
     const uint64_t corners = 3 * (uint64_t)mesh->triangle_count;
@@ -364,7 +368,7 @@ int vox_write_mesh(struct bsq_ctx *ctx, const char *path, const struct vox_mesh 
     if (mesh->materials)
         bsq_sort(w.order, mesh->triangle_count, sizeof *w.order, compare_ordered);
     face_normals(&w);
-    list_corners(&w);
+    list_vertex_corners(&w);
     BSQ_TRY(shade(&w));
     if (strcasecmp(ending_of(path), ".glb") == 0)
         BSQ_TRY(write_glb(&w, path));
