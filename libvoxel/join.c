@@ -371,23 +371,22 @@ done:
 static int join_write(struct joining *j)
 {
     const struct vox_join_options *options = j->options;
-    int status;
-    BSQ_TRY(bsq_require_space(j->ctx, options->output_path,
-                              options->temporary ? 0 : j->output_bytes,
-                              options->temporary ? j->output_bytes : 0));
-    BSQ_TRY(options->temporary
-                ? fmt_tris_create_temp(j->ctx, options->output_path, &j->header, &j->writer)
-                : fmt_tris_create(j->ctx, options->output_path, &j->header, &j->writer));
+    int status = 0;
+    BSQ_PASS(bsq_require_space(j->ctx, options->output_path,
+                               options->temporary ? 0 : j->output_bytes,
+                               options->temporary ? j->output_bytes : 0));
+    BSQ_PASS(options->temporary
+                 ? fmt_tris_create_temp(j->ctx, options->output_path, &j->header, &j->writer)
+                 : fmt_tris_create(j->ctx, options->output_path, &j->header, &j->writer));
     bsq_progress_begin(j->ctx, "writing", "triangles", j->header.triangle_count);
     for (uint32_t i = 0; i < j->part_count && status == 0; i++)
         status = copy_part(j, &j->parts[i]);
     bsq_progress_end(j->ctx);
-    BSQ_TRY(status);
+    BSQ_PASS(status);
     fmt_tris_skip(j->writer, j->header.skipped_triangles);
     if (j->weights != BSQ_SCAN_NORMALS_FLAT)
-        status = vox_write_normals(j->ctx, j->writer, j->weights, options->output_path);
-done:
-    return status;
+        return vox_write_normals(j->ctx, j->writer, j->weights, options->output_path);
+    return 0;
 }
 
 static void report_join(const struct joining *j, struct vox_sort_report *report)

@@ -72,16 +72,15 @@ static int read_batches(struct scan *scan, struct fmt_mesh_reader *reader,
     const uint64_t bytes = fmt_mesh_bytes(reader);
     bsq_progress_begin(scan->ctx, "reading", "bytes",
                        passes == PARTITION_TWO_PASSES ? 2 * bytes : bytes);
-    int status = vox_partition_read(scan, reader, options->tris_path, passes, out);
+    const int status = vox_partition_read(scan, reader, options->tris_path, passes, out);
     bsq_progress_end(scan->ctx);
-    BSQ_TRY(status);
-    BSQ_TRY(vox_scan_finish(scan, reader));
-    BSQ_TRY(vox_scan_find_materials(scan, reader, options->texture_path, textures,
-                                    (enum fmt_ids)options->ids));
-    BSQ_TRY(vox_scan_compare_files(scan, options->texture_path));
+    BSQ_PASS(status);
+    BSQ_PASS(vox_scan_finish(scan, reader));
+    BSQ_PASS(vox_scan_find_materials(scan, reader, options->texture_path, textures,
+                                     (enum fmt_ids)options->ids));
+    BSQ_PASS(vox_scan_compare_files(scan, options->texture_path));
     vox_tuple_layout_for(scan, &out->layout);
-done:
-    return status;
+    return 0;
 }
 
 /* Takes the origin that the options give, if they do. Errors: those of fmt_tris_open(). */
@@ -127,9 +126,8 @@ static int read_passes(struct scan *scan, struct fmt_mesh_reader *reader,
         return status;
     vox_partition_free(scan, out);
     vox_scan_free(scan);
-    status = begin_scan(scan, ctx, options, limits);
-    return status < 0 ? status
-                      : read_batches(scan, reader, options, PARTITION_TWO_PASSES, textures, out);
+    BSQ_PASS(begin_scan(scan, ctx, options, limits));
+    return read_batches(scan, reader, options, PARTITION_TWO_PASSES, textures, out);
 }
 
 /* Adds a name to a list of VOX_NAMES_BYTES bytes. */
@@ -331,9 +329,8 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
     uint64_t temp_before = bsq_temp_bytes(ctx);
     if (bsq_clear_report(ctx, "vox_sort_report", report, sizeof *report) < 0)
         return BSQ_EUSAGE;
-    int status = bsq_check_size(ctx, "vox_sort_options", options->size, sizeof *options);
-    if (status < 0)
-        return status;
+    int status;
+    BSQ_PASS(bsq_check_size(ctx, "vox_sort_options", options->size, sizeof *options));
     BSQ_TRY(begin_scan(&scan, ctx, options, limits));
     BSQ_TRY(sort_check_channels(ctx, options));
     BSQ_TRY(names_tris(options) ? bsq_note_output(ctx, options->tris_path) : 0);

@@ -181,9 +181,9 @@ static int bake_maps_add_channel(void *arg, const char *name)
 static int fill_pack(struct cli *cli, struct bake_arguments *arguments, const char *name)
 {
     const bool rough = strcmp(name, "roughness") == 0;
-    int status = bsq_warn_loss(
-        cli->ctx, "--preset: the scan has no %s: the packed map has %d there", name, rough);
-    for (uint32_t i = 0; i < arguments->bake.pack_count && status == 0; i++) {
+    BSQ_PASS(bsq_warn_loss(cli->ctx, "--preset: the scan has no %s: the packed map has %d there",
+                           name, rough));
+    for (uint32_t i = 0; i < arguments->bake.pack_count; i++) {
         char *list = (char *)(uintptr_t)arguments->packs[i].maps, *word = strstr(list, name);
         if (!word)
             continue;
@@ -192,7 +192,7 @@ static int fill_pack(struct cli *cli, struct bake_arguments *arguments, const ch
         *to = rough != inverted ? '1' : '0';
         memmove(to + 1, word + strlen(name), strlen(word + strlen(name)) + 1);
     }
-    return status;
+    return 0;
 }
 
 static bool is_in_pack(const struct bake_arguments *arguments, const char *name)
@@ -262,8 +262,7 @@ static int name_in_folder(struct cli *cli, struct bake_arguments *arguments)
     bsq_mute_warnings(cli->ctx, true); /* the bake reads the meshes again, and then gives them */
     const int status = bake_list_tiles(cli->ctx, bake, bake_maps_count_tile, &tiles);
     bsq_mute_warnings(cli->ctx, false);
-    if (status < 0)
-        return status;
+    BSQ_PASS(status);
     const bool by_object = bake->more_mesh_count > 0 || bake->match_names;
     const char *dot = strrchr(name, '.');
     const int stem =
@@ -401,12 +400,11 @@ static int apply_setting(struct cli *cli, struct bake_arguments *arguments,
 static int apply_settings(struct cli *cli, struct bake_arguments *arguments)
 {
     const bool is_exr = cli_ends_with(arguments->bake.output_path, ".exr");
-    int status = 0;
-    for (size_t i = 0; i < sizeof settings / sizeof *settings && status == 0; i++)
+    for (size_t i = 0; i < sizeof settings / sizeof *settings; i++)
         if (is_chosen(&arguments->bake, &settings[i]) &&
             !(is_exr && strcmp(settings[i].name, "type") == 0))
-            status = apply_setting(cli, arguments, &settings[i]);
-    return status;
+            BSQ_PASS(apply_setting(cli, arguments, &settings[i]));
+    return 0;
 }
 
 /* ---- all of them ---- */

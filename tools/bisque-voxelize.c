@@ -118,11 +118,10 @@ static int make_grid(struct voxelize_job *job)
                                          .scan_normals = options->scan_normals,
                                          .ids = options->ids};
     const bool several = job->scans.chunk_count + (job->scans.mesh_count > 0) > 1;
-    int status =
-        cli_join(job->cli, job->scans.chunks, job->scans.chunk_count, &how, &job->temp_tris);
+    BSQ_PASS(cli_join(job->cli, job->scans.chunks, job->scans.chunk_count, &how, &job->temp_tris));
     options->tris_path = several ? "the scan" : job->tris_path;
     options->temp_tris = job->temp_tris;
-    return status < 0 ? status : vox_voxelize(job->cli->ctx, options, &job->grid);
+    return vox_voxelize(job->cli->ctx, options, &job->grid);
 }
 
 /* Writes all chunk files as one. */
@@ -162,27 +161,25 @@ static void tell_how_to_go_on(const struct voxelize_job *job)
 static int do_work(struct voxelize_job *job)
 {
     struct voxelize_arguments *arguments = job->arguments;
-    int status = 0;
     arguments->sort.scan_paths = job->scans.meshes;
     arguments->sort.scan_count = job->scans.mesh_count;
     if (arguments->parse_only)
         return vox_parse(job->cli->ctx, &arguments->sort, &job->sort);
-    BSQ_TRY(check_memory(job->cli));
+    BSQ_PASS(check_memory(job->cli));
     if (arguments->grid.vdb_path)
-        BSQ_TRY(vox_check_export(job->cli->ctx));
-    BSQ_TRY(choose_tris_path(job));
-    BSQ_TRY(voxelize_tool_check_outputs(job));
-    BSQ_TRY(bsq_temp_check(job->cli->ctx, arguments->grid.grid_path));
+        BSQ_PASS(vox_check_export(job->cli->ctx));
+    BSQ_PASS(choose_tris_path(job));
+    BSQ_PASS(voxelize_tool_check_outputs(job));
+    BSQ_PASS(bsq_temp_check(job->cli->ctx, arguments->grid.grid_path));
     if (job->scans.mesh_count > 0 && (job->joins || !arguments->sort_only))
-        BSQ_TRY(vox_temp_tris_create(job->cli->ctx, &job->temp_tris));
+        BSQ_PASS(vox_temp_tris_create(job->cli->ctx, &job->temp_tris));
     if (job->scans.mesh_count > 0)
-        BSQ_TRY(voxelize_tool_sort_scan(job));
+        BSQ_PASS(voxelize_tool_sort_scan(job));
     if (arguments->sort_only)
         return job->joins ? join_parts(job) : 0;
-    status = make_grid(job);
+    const int status = make_grid(job);
     if (status == BSQ_EINTR && job->scans.mesh_count > 0 && !job->temporary_tris)
         tell_how_to_go_on(job);
-done:
     return status;
 }
 

@@ -364,8 +364,7 @@ static int take_value(struct parser *parser, const struct cli_table *table,
 static int take_keys(struct parser *parser, const struct cli_table *table,
                      const struct bsq_option *first, char *text)
 {
-    int status = 0;
-    for (char *word = text; word && status == 0;) {
+    for (char *word = text; word;) {
         char *next = strchr(word, ','), *value = strchr(word, '='), name[CLI_TEXT];
         const struct bsq_option *row = first, *end = table->rows + table->count;
         if (next)
@@ -378,10 +377,10 @@ static int take_keys(struct parser *parser, const struct cli_table *table,
             return cli_usage(parser->cli, "--%s: \"%s\" is not KEY=VALUE with a key of --help",
                              first->name, word);
         snprintf(name, sizeof name, "%s %s", row->name, row->key);
-        status = take_value(parser, table, row, name, value);
+        BSQ_PASS(take_value(parser, table, row, name, value));
         word = next;
     }
-    return status;
+    return 0;
 }
 
 static int cli_take_option(struct parser *parser, int option)
@@ -395,15 +394,15 @@ static int cli_take_option(struct parser *parser, int option)
     const char *name = parser->options[i].name;
     if (table->options != cli)
         parser->own_name = name;
-    int status = row->key ? take_keys(parser, table, row, optarg)
-                          : take_value(parser, table, row, name, optarg ? optarg : "");
-    if (status == 0 && cli->help)
+    BSQ_PASS(row->key ? take_keys(parser, table, row, optarg)
+                      : take_value(parser, table, row, name, optarg ? optarg : ""));
+    if (cli->help)
         print_help(parser->command, parser->tables, parser->table_count);
-    if (status == 0 && cli->list_options)
+    if (cli->list_options)
         print_options(parser->tables, parser->table_count);
-    if (status == 0 && cli->version)
+    if (cli->version)
         cli_print("%s %s\n", cli->program, BSQ_VERSION);
-    return status == 0 && (cli->help || cli->list_options || cli->version) ? 2 : status;
+    return cli->help || cli->list_options || cli->version ? 2 : 0;
 }
 
 int cli_parse(struct cli *cli, const struct cli_command *command, int argc, char **argv)

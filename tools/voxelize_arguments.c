@@ -238,7 +238,6 @@ static int scan_args_take_option(struct cli *cli, void *arg, const struct bsq_op
                                  const char *text)
 {
     struct voxelize_arguments *arguments = arg;
-    int status = 0;
     if (strcmp(row->name, "scale") == 0)
         return parse_scale(cli, arguments, text);
     if (strcmp(row->name, "up") == 0)
@@ -251,27 +250,28 @@ static int scan_args_take_option(struct cli *cli, void *arg, const struct bsq_op
         return parse_point(cli, row->name, text, arguments->origin);
     }
     /* --channels: paths of images must not have commas. */
-    for (char *word = (char *)(uintptr_t)text; word && status == 0;) {
+    for (char *word = (char *)(uintptr_t)text; word;) {
         char *next = strchr(word, ',');
         if (next)
             *next++ = '\0';
-        status = parse_channel(cli, arguments, word);
+        BSQ_PASS(parse_channel(cli, arguments, word));
         word = next;
     }
-    return status;
+    return 0;
 }
 
 int voxelize_arguments_add_channels(struct cli *cli, struct voxelize_arguments *arguments)
 {
     static const char name[] = FMT_CHANNEL_NORMAL_MAP;
     const char *path = arguments->grid.scan_normal_map;
-    int status = path ? scan_args_add_channel(cli, arguments, name, strlen(name), path, false) : 0;
-    for (unsigned i = 0; arguments->all_channels && fmt_channel_at(i) && status == 0; i++) {
+    if (path)
+        BSQ_PASS(scan_args_add_channel(cli, arguments, name, strlen(name), path, false));
+    for (unsigned i = 0; arguments->all_channels && fmt_channel_at(i); i++) {
         const char *any = fmt_channel_at(i)->name;
         if (!has_channel(arguments, any))
-            status = scan_args_add_channel(cli, arguments, any, strlen(any), NULL, true);
+            BSQ_PASS(scan_args_add_channel(cli, arguments, any, strlen(any), NULL, true));
     }
-    return status;
+    return 0;
 }
 
 /* ---- all of them ---- */
@@ -376,10 +376,8 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
                    ? cli_usage(cli, "--info only describes files: leave out --%s",
                                given_option(arguments, 0))
                    : 0;
-    BSQ_TRY(scan_args_check(cli, arguments));
-    status = scan_args_finish(cli, arguments);
-done:
-    return status;
+    BSQ_PASS(scan_args_check(cli, arguments));
+    return scan_args_finish(cli, arguments);
 }
 
 int voxelize_arguments_map_inputs(struct cli *cli, struct voxelize_arguments *arguments)

@@ -74,12 +74,11 @@ static int count_faces(struct survey *s, uint32_t material, uint64_t faces)
         return 0;
     }
     const uint64_t count = (uint64_t)material + 1;
-    int status = BSQ_GROW(s->ctx, "materials", count, &s->faces, &s->capacity);
-    for (; status == 0 && s->material_count < count; s->material_count++)
+    BSQ_PASS(BSQ_GROW(s->ctx, "materials", count, &s->faces, &s->capacity));
+    for (; s->material_count < count; s->material_count++)
         s->faces[s->material_count] = 0;
-    if (status == 0)
-        s->faces[material] += faces;
-    return status;
+    s->faces[material] += faces;
+    return 0;
 }
 
 static int survey_batch(void *arg, const struct fmt_mesh_batch *batch)
@@ -87,7 +86,6 @@ static int survey_batch(void *arg, const struct fmt_mesh_batch *batch)
     struct survey *s = arg;
     uint32_t material = batch->material_at_start;
     uint64_t begin = 0;
-    int status = 0;
     bsq_progress_add(s->ctx, batch->byte_size);
     for (uint64_t v = 0; v < batch->vertex_count; v++)
         for (int axis = 0; axis < 3; axis++) {
@@ -97,14 +95,14 @@ static int survey_batch(void *arg, const struct fmt_mesh_batch *batch)
     s->has_colors |= batch->colors || batch->late_color_count > 0;
     s->has_texcoords |= file_info_any_index(batch->corner_texcoords, batch->corner_count);
     s->has_normals |= file_info_any_index(batch->corner_normals, batch->corner_count);
-    for (uint64_t i = 0; i <= batch->material_change_count && status == 0; i++) {
+    for (uint64_t i = 0; i <= batch->material_change_count; i++) {
         const bool last = i == batch->material_change_count;
         const uint64_t end = last ? batch->face_count : batch->material_changes[i].face;
-        status = end > begin ? count_faces(s, material, end - begin) : 0;
+        BSQ_PASS(end > begin ? count_faces(s, material, end - begin) : 0);
         begin = end;
         material = last ? material : batch->material_changes[i].material;
     }
-    return status;
+    return 0;
 }
 
 /* Returns whether a texture can be found. */
@@ -278,9 +276,8 @@ static int describe_grid(struct bsq_ctx *ctx, const char *path, json_t **out)
     struct fmt_nvdb_grid grid;
     char **names = NULL;
     uint32_t count = 0;
-    int status = fmt_nvdb_open(ctx, path, &grid);
-    if (status < 0)
-        return status;
+    int status = 0;
+    BSQ_PASS(fmt_nvdb_open(ctx, path, &grid));
     json_t *channels = json_array();
     if (grid.channel_list)
         status =

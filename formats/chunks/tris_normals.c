@@ -12,10 +12,9 @@ int fmt_tris_normals_begin(struct fmt_tris_writer *writer, struct fmt_tris_file 
 {
     const struct tris_file_header *h = &writer->header;
     struct fmt_tris_file *file;
-    int status = BSQ_CALLOC(writer->ctx, "chunk file", 1, &file);
+    int status;
     *out = NULL;
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_CALLOC(writer->ctx, "chunk file", 1, &file));
     file->ctx = writer->ctx;
     file->file = (struct bsq_file)BSQ_FILE_CLOSED;
     file->header.attributes = h->attributes;

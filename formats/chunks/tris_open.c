@@ -274,14 +274,14 @@ static int parse_material(struct fmt_tris_file *file, struct cursor *cursor,
 static int parse_channels(struct fmt_tris_file *file, uint32_t count, struct cursor *cursor)
 {
     struct fmt_tris_header *header = &file->header;
-    int status = BSQ_CALLOC(file->ctx, "channels", count + UINT64_C(1), &header->channels);
-    for (char *name; header->channel_count < count && status == 0;) {
+    BSQ_PASS(BSQ_CALLOC(file->ctx, "channels", count + UINT64_C(1), &header->channels));
+    for (char *name; header->channel_count < count;) {
         if (!take_name(cursor, &name) || !fmt_is_channel_name(name) ||
             fmt_tris_find_channel(header, name) != UINT32_MAX)
             return fmt_tris_damaged(file, "the name of a channel is none");
         header->channels[header->channel_count++] = name;
     }
-    return status;
+    return 0;
 }
 
 static int parse_materials(struct fmt_tris_file *file, const struct tris_file_header *h)

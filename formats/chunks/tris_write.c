@@ -92,10 +92,8 @@ int fmt_tris_encode(struct bsq_ctx *ctx, uint32_t attributes, const struct fmt_t
         return bsq_fail(ctx, BSQ_EBUG, "a chunk of %u triangles and %u vertices", nt, nv);
     struct tris_layout l = tris_chunk_layout(attributes, nt, nv);
     uint8_t *bytes = buffer;
-    int status;
     memset(info, 0, sizeof *info);
-    if ((status = chunk_bounds(ctx, chunk, info)) < 0)
-        return status;
+    BSQ_PASS(chunk_bounds(ctx, chunk, info));
     memcpy(bytes, chunk->positions, (size_t)12 * nv);
     struct fmt_tris_chunk in_file = *chunk;
     in_file.positions = (const float(*)[3])(const void *)bytes;
@@ -111,8 +109,7 @@ int fmt_tris_encode(struct bsq_ctx *ctx, uint32_t attributes, const struct fmt_t
             info->sample_checksum = XXH3_64bits(bytes + l.values[i], size_bytes);
         }
     }
-    if ((status = store_indices(ctx, chunk, &l, bytes + l.triangles)) < 0)
-        return status;
+    BSQ_PASS(store_indices(ctx, chunk, &l, bytes + l.triangles));
     memset(bytes + l.end, 0, l.bytes - l.end);
     info->checksum = XXH3_64bits(bytes, l.bytes);
     info->size_bytes = *size = l.bytes;
@@ -208,12 +205,12 @@ done:
 /* Appends bytes to the materials. */
 static int tris_put(struct fmt_tris_writer *writer, const void *from, uint64_t bytes)
 {
-    int status = bsq_grow(writer->ctx, "materials", writer->materials_bytes + bytes, 1,
-                          &writer->materials, &writer->materials_capacity);
-    if (status == 0 && bytes > 0)
+    BSQ_PASS(bsq_grow(writer->ctx, "materials", writer->materials_bytes + bytes, 1,
+                      &writer->materials, &writer->materials_capacity));
+    if (bytes > 0)
         memcpy(writer->materials + writer->materials_bytes, from, bytes);
-    writer->materials_bytes += status == 0 ? bytes : 0;
-    return status;
+    writer->materials_bytes += bytes;
+    return 0;
 }
 
 static uint64_t text_bytes(const char *text)
@@ -260,16 +257,13 @@ static int put_material(struct fmt_tris_writer *writer, const struct fmt_tris_ma
                         uint32_t channel_count)
 {
     const uint32_t flags = (m->colorless ? TRIS_COLORLESS : 0u) | (m->tinted ? TRIS_TINTED : 0u);
-    int status;
-    BSQ_TRY(put_source(writer, m->diffuse, flags, &m->uv, m->texture_path));
-    status = put_name(writer, m->name);
-    for (uint32_t c = 0; c < channel_count && status == 0; c++) {
-        const struct fmt_tris_source *source = &m->sources[c];
-        status =
-            put_source(writer, source->value, source->component, &source->uv, source->texture_path);
+    BSQ_PASS(put_source(writer, m->diffuse, flags, &m->uv, m->texture_path));
+    BSQ_PASS(put_name(writer, m->name));
+    for (uint32_t c = 0; c < channel_count; c++) {
+        const struct fmt_tris_source *s = &m->sources[c];
+        BSQ_PASS(put_source(writer, s->value, s->component, &s->uv, s->texture_path));
     }
-done:
-    return status;
+    return 0;
 }
 
 static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tris_header *header)
@@ -344,10 +338,8 @@ int fmt_tris_append(struct fmt_tris_writer *writer, const void *encoded, uint64_
                     const struct fmt_tris_chunk_info *info)
 {
     struct tris_file_header *h = &writer->header;
-    int status = BSQ_GROW(writer->ctx, "chunk table", h->chunk_count + 1, &writer->table,
-                          &writer->table_capacity);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_GROW(writer->ctx, "chunk table", h->chunk_count + 1, &writer->table,
+                      &writer->table_capacity));
     struct fmt_tris_chunk_info *entry = &writer->table[h->chunk_count];
     *entry = *info;
     entry->normals_offset = entry->creases_offset = entry->normals_checksum = 0;
@@ -355,8 +347,7 @@ int fmt_tris_append(struct fmt_tris_writer *writer, const void *encoded, uint64_
     entry->offset = bsq_output_tell(writer->output);
     entry->size_bytes = size;
     entry->first_triangle = h->triangle_count;
-    if ((status = bsq_output_write(writer->output, encoded, size)) < 0)
-        return status;
+    BSQ_PASS(bsq_output_write(writer->output, encoded, size));
     extend_bounds(h, info);
     h->chunk_count++;
     h->triangle_count += info->triangle_count;

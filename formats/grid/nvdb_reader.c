@@ -483,9 +483,7 @@ int fmt_nvdb_read_names(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid,
         char *text;
         if (!next_name(grid, &at, &name))
             return bsq_fail(ctx, BSQ_EIO, "%s: was changed while it was read", grid->map.path);
-        status = bsq_alloc(ctx, "name of an id", (uint64_t)name.length + 1, 1, &text);
-        if (status)
-            return status;
+        BSQ_PASS(bsq_alloc(ctx, "name of an id", (uint64_t)name.length + 1, 1, &text));
         memcpy(text, name.bytes, name.length);
         text[name.length] = '\0';
         status = fn(arg, text);

@@ -404,26 +404,24 @@ static int nvdb_append_region(struct fmt_nvdb_writer *writer, const struct fmt_n
 {
     static const struct fmt_nvdb_record background = {0};
     const bool channels = writer->counts.channel_words > 0;
-    int status;
-    BSQ_TRY(bsq_check(writer->ctx));
-    BSQ_TRY(check_region(writer, region));
+    BSQ_PASS(bsq_check(writer->ctx));
+    BSQ_PASS(check_region(writer, region));
     if (region->leaf_count == 0)
         return 0;
-    BSQ_TRY(check_limits(writer, region));
+    BSQ_PASS(check_limits(writer, region));
     if (writer->counts.voxels == 0)
-        BSQ_TRY(nvdb_append_records(writer, false, &background, NULL, 1));
-    BSQ_TRY(open_region(writer, region->origin));
-    BSQ_TRY(append_leaves(writer, region));
-    BSQ_TRY(nvdb_append_records(writer, false, region->records, channels ? region->channels : NULL,
-                                region->record_count));
-    BSQ_TRY(nvdb_append_records(writer, true, region->second,
-                                channels ? region->second_channels : NULL, region->second_count));
-    status = append_seconds(writer, region);
+        BSQ_PASS(nvdb_append_records(writer, false, &background, NULL, 1));
+    BSQ_PASS(open_region(writer, region->origin));
+    BSQ_PASS(append_leaves(writer, region));
+    BSQ_PASS(nvdb_append_records(writer, false, region->records, channels ? region->channels : NULL,
+                                 region->record_count));
+    BSQ_PASS(nvdb_append_records(writer, true, region->second,
+                                 channels ? region->second_channels : NULL, region->second_count));
+    BSQ_PASS(append_seconds(writer, region));
     writer->counts.leaves += region->leaf_count;
     writer->counts.voxels += region->record_count;
     writer->counts.seconds += region->second_count;
-done:
-    return status;
+    return 0;
 }
 
 int fmt_nvdb_append(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)

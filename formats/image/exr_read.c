@@ -193,23 +193,21 @@ static int exr_in_read_attributes(struct reader *reader)
     struct bsq_ctx *ctx = reader->stream.ctx;
     struct fmt_exr_image *image = reader->image;
     int32_t count;
-    int status = fmt_exr_status(&reader->stream, exr_get_attribute_count(reader->file, 0, &count));
-    if (status < 0 || count < 1)
-        return status;
-    status = BSQ_CALLOC(ctx, "EXR attributes", (uint32_t)count, &image->attributes);
-    for (int32_t i = 0; status == 0 && i < count; ++i) {
+    BSQ_PASS(fmt_exr_status(&reader->stream, exr_get_attribute_count(reader->file, 0, &count)));
+    if (count > 0)
+        BSQ_PASS(BSQ_CALLOC(ctx, "EXR attributes", (uint32_t)count, &image->attributes));
+    for (int32_t i = 0; i < count; ++i) {
         const exr_attribute_t *attribute;
-        BSQ_TRY(fmt_exr_status(
+        BSQ_PASS(fmt_exr_status(
             &reader->stream,
             exr_get_attribute_by_index(reader->file, 0, EXR_ATTR_LIST_FILE_ORDER, i, &attribute)));
         if (attribute->type != EXR_ATTR_STRING || !attribute->string->str)
             continue;
         struct fmt_exr_attribute *copy = &image->attributes[image->attribute_count++];
-        BSQ_TRY(bsq_text_copy(ctx, attribute->name, &copy->name));
-        status = bsq_text_copy(ctx, attribute->string->str, &copy->value);
+        BSQ_PASS(bsq_text_copy(ctx, attribute->name, &copy->name));
+        BSQ_PASS(bsq_text_copy(ctx, attribute->string->str, &copy->value));
     }
-done:
-    return status;
+    return 0;
 }
 
 /* ---- chunks ---- */
@@ -488,14 +486,13 @@ static int open_rows(struct bsq_ctx *ctx, const char *path, const struct bsq_fil
                      bool colors, struct fmt_exr_rows **out)
 {
     struct fmt_exr_rows *rows;
-    int status = BSQ_CALLOC(ctx, "an EXR decoder", 1, &rows);
-    *out = status < 0 ? NULL : rows;
-    if (status < 0)
-        return status;
+    *out = NULL;
+    BSQ_PASS(BSQ_CALLOC(ctx, "an EXR decoder", 1, &rows));
+    *out = rows;
     rows->reader = (struct reader){
         .stream = {.ctx = ctx, .path = path}, .input = input, .image = &rows->image, .workers = 1};
-    status = exr_in_read_header(&rows->reader, colors);
-    return status < 0 ? status : allocate_places(&rows->reader);
+    BSQ_PASS(exr_in_read_header(&rows->reader, colors));
+    return allocate_places(&rows->reader);
 }
 
 int fmt_exr_rows_open(struct bsq_ctx *ctx, const char *path, const struct bsq_file *input,

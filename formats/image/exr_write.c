@@ -277,12 +277,11 @@ static int exr_out_name_channels(struct exr_writer *writer, const struct fmt_ima
     const char *const *names = options->channels ? options->channels
                                : count == 1      ? &grey_name
                                                  : color_names;
-    int status = BSQ_ALLOC(writer->base.ctx, "EXR channels", count, &writer->channels);
-    for (uint32_t c = 0; status == 0 && c < count; ++c)
+    BSQ_PASS(BSQ_ALLOC(writer->base.ctx, "EXR channels", count, &writer->channels));
+    for (uint32_t c = 0; c < count; ++c)
         writer->channels[c] = (struct channel){names[c], c};
-    if (status == 0)
-        bsq_sort(writer->channels, count, sizeof *writer->channels, exr_out_compare_names);
-    return status;
+    bsq_sort(writer->channels, count, sizeof *writer->channels, exr_out_compare_names);
+    return 0;
 }
 
 static int exr_out_create_image(struct fmt_image_writer *base,

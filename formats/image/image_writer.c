@@ -99,11 +99,8 @@ int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format,
     if (options->width == 0 || options->height == 0)
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: an image of %u x %u texels", path, options->width,
                         options->height);
-    int status = fmt_image_check_type(ctx, format, path, options->type);
-    if (status == 0)
-        status = fmt_image_check_tiles(ctx, format, path, options->exr_tile_side);
-    if (status < 0)
-        return status;
+    BSQ_PASS(fmt_image_check_type(ctx, format, path, options->type));
+    BSQ_PASS(fmt_image_check_tiles(ctx, format, path, options->exr_tile_side));
     void *memory;
     BSQ_PASS(bsq_calloc(ctx, "image writer", 1, format->writer_bytes, &memory));
     struct fmt_image_writer *writer = memory;
@@ -113,7 +110,7 @@ int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format,
     writer->height = options->height;
     writer->channel_count = options->channel_count;
     writer->exr_tile_side = options->exr_tile_side;
-    status = image_start(writer, path, options);
+    const int status = image_start(writer, path, options);
     if (status < 0)
         fmt_image_discard(writer);
     else
@@ -209,8 +206,8 @@ static int64_t fill_block(struct fmt_image_writer *writer, const float *samples,
         return taken;
     uint32_t block = writer->pending_rows;
     writer->pending_rows = 0;
-    int status = encode_rows(writer, writer->pending, block);
-    return status < 0 ? status : (int64_t)taken;
+    BSQ_PASS(encode_rows(writer, writer->pending, block));
+    return taken;
 }
 
 int fmt_image_describe(struct fmt_image_writer *writer,
@@ -282,13 +279,11 @@ int fmt_image_finish(struct fmt_image_writer *writer)
         return bsq_fail(writer->ctx, BSQ_EBUG, "%s: %u of %u rows were written", writer->path,
                         writer->rows_taken, writer->height);
     free_encoders(writer);
-    int status = writer->format->finish(writer);
-    if (status == 0)
-        status = bsq_output_sync(writer->output);
-    writer->finished = status == 0;
-    if (status == 0)
-        free_coding(writer);
-    return status;
+    BSQ_PASS(writer->format->finish(writer));
+    BSQ_PASS(bsq_output_sync(writer->output));
+    writer->finished = true;
+    free_coding(writer);
+    return 0;
 }
 
 static void free_writer(struct fmt_image_writer *writer)

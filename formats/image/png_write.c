@@ -254,23 +254,20 @@ static int write_header(const struct png_writer *writer)
                                                30000, 60000, 15000, 6000};
     static const uint8_t color_types[5] = {[1] = 0, [3] = 2, [4] = 6};
     uint8_t header[13] = {0}, gamma[4], white_and_primaries[32];
-    int status;
     store_u32(header, writer->base.width);
     store_u32(header + 4, writer->base.height);
     header[8] = (uint8_t)writer->bits;
     header[9] = color_types[writer->base.channel_count];
-    BSQ_TRY(bsq_output_write(writer->base.output, signature, sizeof signature));
-    BSQ_TRY(write_chunk(writer, "IHDR", header, sizeof header));
+    BSQ_PASS(bsq_output_write(writer->base.output, signature, sizeof signature));
+    BSQ_PASS(write_chunk(writer, "IHDR", header, sizeof header));
     if (!writer->srgb)
         return 0;
     store_u32(gamma, 45455);
     for (int i = 0; i < 8; ++i)
         store_u32(white_and_primaries + 4 * i, chromaticities[i]);
-    BSQ_TRY(write_chunk(writer, "gAMA", gamma, sizeof gamma));
-    BSQ_TRY(write_chunk(writer, "sRGB", perceptual, sizeof perceptual));
-    status = write_chunk(writer, "cHRM", white_and_primaries, sizeof white_and_primaries);
-done:
-    return status;
+    BSQ_PASS(write_chunk(writer, "gAMA", gamma, sizeof gamma));
+    BSQ_PASS(write_chunk(writer, "sRGB", perceptual, sizeof perceptual));
+    return write_chunk(writer, "cHRM", white_and_primaries, sizeof white_and_primaries);
 }
 
 /* Writes a tEXt chunk: the name, a zero, and the value. */
@@ -333,12 +330,10 @@ static int png_out_create_image(struct fmt_image_writer *base,
     writer->checksum = 1;
     const uint64_t rows = BAND_BYTES / writer->row_bytes;
     base->block_rows = rows == 0 ? 1 : rows < base->height ? (uint32_t)rows : base->height;
-    int status = bsq_alloc(base->ctx, "PNG row", base->width, base->channel_count * sizeof(float),
-                           &base->above);
-    if (status == 0)
-        status = write_header(writer);
-    return status < 0 ? status
-                      : png_out_describe_image(base, options->attributes, options->attribute_count);
+    BSQ_PASS(bsq_alloc(base->ctx, "PNG row", base->width, base->channel_count * sizeof(float),
+                       &base->above));
+    BSQ_PASS(write_header(writer));
+    return png_out_describe_image(base, options->attributes, options->attribute_count);
 }
 
 static int png_out_finish_image(struct fmt_image_writer *base)

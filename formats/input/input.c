@@ -226,10 +226,9 @@ static int input_create(struct bsq_ctx *ctx, const char *path, const char *besid
                         const struct bsq_source *source, struct fmt_input **out)
 {
     struct fmt_input *input;
+    int status = 0;
     *out = NULL;
-    int status = BSQ_CALLOC(ctx, "inputs", 1, &input);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_CALLOC(ctx, "inputs", 1, &input));
     input->ctx = ctx;
     input->source = source;
     input->pipe_fd = -1;
@@ -378,26 +377,25 @@ int fmt_input_read_some(struct fmt_input *input, void *buffer, uint64_t size, ui
                         uint64_t *got)
 {
     const uint64_t end = size < UINT64_MAX - offset ? offset + size : UINT64_MAX;
-    int status = 0;
     *got = 0;
     if (input->source)
         return read_source(input, buffer, size, offset, got);
     if (fmt_input_is_plain(input))
         return bsq_file_read_some(input->ctx, &input->file, buffer, size, offset, got);
     for (bool read = false; !read;) {
-        BSQ_TRY(unpack_until(input, end));
+        BSQ_PASS(unpack_until(input, end));
         pthread_rwlock_rdlock(&input->stored_lock);
         const bool come = input->stored >= end || input->status <= 0;
         read = come && first_kept(input) <= offset;
         *got = input->stored <= offset ? 0 : input->stored - offset;
         *got = *got < size ? *got : size;
-        status = read && *got > 0 ? read_stored(input, buffer, *got, offset) : 0;
+        const int status = read && *got > 0 ? read_stored(input, buffer, *got, offset) : 0;
         pthread_rwlock_unlock(&input->stored_lock);
+        BSQ_PASS(status);
         if (come && !read)
-            BSQ_TRY(keep_all(input));
+            BSQ_PASS(keep_all(input));
     }
-done:
-    return status;
+    return 0;
 }
 
 int fmt_input_read(struct fmt_input *input, void *buffer, uint64_t size, uint64_t offset)
@@ -444,20 +442,17 @@ int fmt_input_peek(struct fmt_input *input, void *buffer, uint64_t size, uint64_
 int fmt_input_guess(struct fmt_input *input, uint64_t *bytes, bool *plain)
 {
     uint64_t size;
-    int status = 0;
     *plain = fmt_input_is_plain(input);
     *bytes = input->size == UINT64_MAX ? 0 : input->size;
     if (!input->packed || *bytes > 0)
         return 0;
-    BSQ_TRY(fmt_input_open(input));
-    status = fmt_input_reach(input, FMT_INPUT_SAMPLE_BYTES, &size);
+    BSQ_PASS(fmt_input_open(input));
+    const int status = fmt_input_reach(input, FMT_INPUT_SAMPLE_BYTES, &size);
     const uint64_t taken = fmt_unpack_taken(input->unpacker);
     const double ratio = taken > 0 ? (double)input->stored / (double)taken : 0.0;
     *bytes = size < UINT64_MAX ? size : (uint64_t)(ratio * (double)input->file_size);
     const int closed = fmt_input_close(input);
-    status = status ? status : closed;
-done:
-    return status;
+    return status ? status : closed;
 }
 
 int fmt_input_text(struct bsq_ctx *ctx, const char *path, uint64_t padding, char **text,

@@ -290,10 +290,9 @@ int fmt_unpack_create(struct bsq_ctx *ctx, unpack_source *source, void *arg, uin
                       struct unpacker **out)
 {
     struct unpacker *u;
+    int status;
     *out = NULL;
-    int status = BSQ_CALLOC(ctx, "unpacking", 1, &u);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_CALLOC(ctx, "unpacking", 1, &u));
     *u = (struct unpacker){.ctx = ctx, .source = source, .arg = arg, .step = step_bytes};
     BSQ_TRY(bsq_alloc(ctx, "unpacking", IN_BYTES, 1, &u->in));
     BSQ_TRY(bsq_alloc(ctx, "unpacking", step_bytes, 1, &u->out));

@@ -50,14 +50,14 @@ int fmt_extent_name(struct bsq_ctx *ctx, const char *path, const struct fmt_exte
                     char **out)
 {
     const size_t size = strlen(path) + sizeof "#base64=,+" + 3 * 20;
-    int status = bsq_alloc(ctx, "names", size, 1, out);
-    if (!status && extent->base64)
+    BSQ_PASS(bsq_alloc(ctx, "names", size, 1, out));
+    if (extent->base64)
         snprintf(*out, size, "%s#base64=%" PRIu64 ",%" PRIu64 "+%" PRIu64, path, extent->offset,
                  extent->first, extent->size);
-    else if (!status)
+    else
         snprintf(*out, size, "%s#bytes=%" PRIu64 "+%" PRIu64, path, extent->offset + extent->first,
                  extent->size);
-    return status;
+    return 0;
 }
 
 /* ---- base64 ---- */
@@ -100,9 +100,9 @@ static int read_groups(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_
     uint64_t skip = at % 3, length = 0, groups = (skip + size + 2) / 3;
     if (groups > GROUPS)
         groups = GROUPS;
-    int status = bsq_file_read_some(ctx, file, letters, 4 * groups, text + 4 * (at / 3), &length);
     *done = 0;
-    for (uint64_t i = 0; !status && i < groups && *done < size; i++) {
+    BSQ_PASS(bsq_file_read_some(ctx, file, letters, 4 * groups, text + 4 * (at / 3), &length));
+    for (uint64_t i = 0; i < groups && *done < size; i++) {
         uint64_t rest = length > 4 * i ? length - 4 * i : 0;
         unsigned have = decode_group(letters + 4 * i, rest, bytes);
         for (uint64_t k = skip; k < have && *done < size; k++)
@@ -111,7 +111,7 @@ static int read_groups(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_
         if (have < 3)
             break;
     }
-    return status;
+    return 0;
 }
 
 /* Reports that the group of four characters at `offset` cannot be decoded. */
@@ -134,11 +134,9 @@ int fmt_extent_read(struct bsq_ctx *ctx, const struct bsq_file *file,
     at += extent->first;
     while (size > 0) {
         uint64_t done;
-        int status = read_groups(ctx, file, extent->offset, at, next, size, &done);
-        if (!status && done == 0)
-            status = fail_base64(ctx, file, extent->offset + at / 3 * 4);
-        if (status)
-            return status;
+        BSQ_PASS(read_groups(ctx, file, extent->offset, at, next, size, &done));
+        if (done == 0)
+            return fail_base64(ctx, file, extent->offset + at / 3 * 4);
         next += done;
         at += done;
         size -= done;
@@ -159,12 +157,10 @@ int fmt_extent_open(struct bsq_ctx *ctx, const char *name, struct fmt_extent *ex
         return status;
     }
     *out = (struct bsq_file)BSQ_FILE_CLOSED;
-    int status = bsq_alloc(ctx, "names", length + 1, 1, &path);
-    if (status)
-        return status;
+    BSQ_PASS(bsq_alloc(ctx, "names", length + 1, 1, &path));
     memcpy(path, name, length);
     path[length] = '\0';
-    status = bsq_file_open(ctx, path, out);
+    const int status = bsq_file_open(ctx, path, out);
     bsq_free(ctx, path);
     return status;
 }

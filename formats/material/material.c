@@ -19,10 +19,7 @@ int fmt_materials_add(struct bsq_ctx *ctx, struct fmt_materials *list, struct fm
 {
     if (list->count == UINT32_MAX - 1)
         return bsq_fail(ctx, BSQ_EDATA, "too many materials");
-    int status =
-        BSQ_GROW(ctx, "materials", list->count + UINT64_C(1), &list->list, &list->capacity);
-    if (status)
-        return status;
+    BSQ_PASS(BSQ_GROW(ctx, "materials", list->count + UINT64_C(1), &list->list, &list->capacity));
     *out = &list->list[list->count++];
     **out = (struct fmt_material){.color = usual_channel(&fmt_color_channel)};
     return 0;

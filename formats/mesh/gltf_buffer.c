@@ -130,11 +130,9 @@ static int use_file(const struct gltf_item *item, const char *uri, struct gltf_b
         return fail_missing(item, out->path);
     if (found == 0)
         return fmt_gltf_fail(item, "its URI \"%.60s\" names no file", uri);
-    int status = found < 0 ? found
-                           : bsq_note_input(ctx, out->path, "the buffer that %s names",
-                                            item->document->file.path);
-    if (!status)
-        status = bsq_file_open(ctx, out->path, &out->file);
+    BSQ_PASS(found);
+    BSQ_PASS(bsq_note_input(ctx, out->path, "the buffer that %s names", item->document->file.path));
+    const int status = bsq_file_open(ctx, out->path, &out->file);
     out->extent.size = out->file.size;
     bsq_file_close(ctx, &out->file);
     return status;
@@ -147,9 +145,7 @@ int fmt_gltf_read_buffer(const struct gltf_item *item, struct gltf_source *sourc
     const char *uri = fmt_gltf_string(item->object, "uri");
     uint64_t length = GLTF_REQUIRED, offset, size;
     *out = (struct gltf_buffer){.file = BSQ_FILE_CLOSED};
-    int status = fmt_gltf_number(item, item->object, "byteLength", INT64_MAX / 4, &length);
-    if (status)
-        return status;
+    BSQ_PASS(fmt_gltf_number(item, item->object, "byteLength", INT64_MAX / 4, &length));
     if (!uri && fmt_gltf_extension(item->object, "EXT_meshopt_compression")) {
         out->missing = true;
     } else if (!uri) {
@@ -159,12 +155,10 @@ int fmt_gltf_read_buffer(const struct gltf_item *item, struct gltf_source *sourc
             (struct fmt_extent){.offset = d->chunk_offset, .size = chunk ? d->chunk_bytes : 0};
     } else if (fmt_gltf_find_data(uri, &offset, &size)) {
         out->extent = (struct fmt_extent){.offset = offset, .base64 = true};
-        status = fmt_gltf_measure_data(item, offset, size, &out->extent.size);
+        BSQ_PASS(fmt_gltf_measure_data(item, offset, size, &out->extent.size));
     } else {
-        status = use_file(item, uri, out);
+        BSQ_PASS(use_file(item, uri, out));
     }
-    if (status)
-        return status;
     if (length > out->extent.size && !out->missing)
         return fmt_gltf_fail(item,
                              "truncated: it should have %" PRIu64 " bytes, there are %" PRIu64,
@@ -208,11 +202,10 @@ int fmt_gltf_read_view(const struct gltf_item *item, struct gltf_source *source,
 
 int fmt_gltf_open_buffers(struct bsq_ctx *ctx, struct gltf_source *source)
 {
-    int status = 0;
-    for (uint32_t i = 0; i < source->buffer_count && !status; i++)
+    for (uint32_t i = 0; i < source->buffer_count; i++)
         if (source->buffers[i].path && source->buffers[i].file.fd < 0)
-            status = bsq_file_open(ctx, source->buffers[i].path, &source->buffers[i].file);
-    return status;
+            BSQ_PASS(bsq_file_open(ctx, source->buffers[i].path, &source->buffers[i].file));
+    return 0;
 }
 
 int fmt_gltf_close_buffers(struct bsq_ctx *ctx, struct gltf_source *source)
@@ -401,18 +394,14 @@ int fmt_gltf_decode(struct stream_slot *slot, uint32_t number, uint64_t first, u
     const struct gltf_source *source = slot->source->data;
     const struct gltf_accessor *accessor = &source->accessors[number];
     const uint64_t values = count * accessor->components, bytes = values * sizeof(double);
-    int status = bytes <= slot->work_capacity
-                     ? 0
-                     : bsq_grow(slot->ctx, "elements", bytes, 1, &slot->work, &slot->work_capacity);
-    if (status)
-        return status;
+    if (bytes > slot->work_capacity)
+        BSQ_PASS(bsq_grow(slot->ctx, "elements", bytes, 1, &slot->work, &slot->work_capacity));
     double *to = (double *)(void *)slot->work;
     *out = to;
     if (accessor->view == GLTF_NONE)
         memset(to, 0, bytes);
     else
-        status = read_elements(slot, accessor, first, count, to);
-    if (!status)
-        normalize(accessor, to, values);
-    return status;
+        BSQ_PASS(read_elements(slot, accessor, first, count, to));
+    normalize(accessor, to, values);
+    return 0;
 }

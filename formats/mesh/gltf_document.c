@@ -142,9 +142,7 @@ static int parse_text(struct gltf_document *d, const struct shortener *s)
         feed.left -= mark;
     }
     const uint64_t bound = bsq_json_bound(s->text, s->size);
-    int status = bsq_reserve(d->ctx, "the JSON of a glTF file", bound);
-    if (status)
-        return status;
+    BSQ_PASS(bsq_reserve(d->ctx, "the JSON of a glTF file", bound));
     d->json_memory = bound;
     d->root = json_load_callback(feed_json, &feed, JSON_ALLOW_NUL, &error);
     if (feed.status)
@@ -191,23 +189,21 @@ static int find_chunks(struct gltf_document *d, const uint8_t *head)
         return bsq_fail(d->ctx, BSQ_EDATA,
                         "%s: truncated: the header counts %" PRIu64 " bytes, the file has %" PRIu64,
                         d->file.path, end, d->file.size);
-    int status = read_chunk(d, GLB_HEADER, end, &type, &size);
-    if (!status && type != json)
-        status = bsq_fail(d->ctx, BSQ_EDATA, "%s: the first chunk is not JSON", d->file.path);
-    if (status)
-        return status;
+    BSQ_PASS(read_chunk(d, GLB_HEADER, end, &type, &size));
+    if (type != json)
+        return bsq_fail(d->ctx, BSQ_EDATA, "%s: the first chunk is not JSON", d->file.path);
     d->json_offset = GLB_HEADER + GLB_CHUNK_HEADER;
     d->json_bytes = size;
     /* Chunks begin at multiples of 4. Unknown ones after the binary chunk are not read. */
     const uint64_t next = bsq_align_up(d->json_offset + size, 4);
     if (next > end || end - next < GLB_CHUNK_HEADER)
         return 0;
-    status = read_chunk(d, next, end, &type, &size);
-    if (!status && type == binary) {
+    BSQ_PASS(read_chunk(d, next, end, &type, &size));
+    if (type == binary) {
         d->chunk_offset = next + GLB_CHUNK_HEADER;
         d->chunk_bytes = size;
     }
-    return status;
+    return 0;
 }
 
 /* ---- extensions ---- */

@@ -38,9 +38,7 @@ static int find_image(const struct gltf_item *item, struct gltf_source *source, 
     uint64_t size;
     uint32_t view;
     bool exists;
-    int status = fmt_gltf_index(item, item->object, "bufferView", "bufferViews", &view);
-    if (status)
-        return status;
+    BSQ_PASS(fmt_gltf_index(item, item->object, "bufferView", "bufferViews", &view));
     if (view != GLTF_NONE && source->views[view].buffer == GLTF_NONE)
         return fmt_gltf_fail(item, "an image in a compressed view");
     if (view != GLTF_NONE) {
@@ -51,8 +49,10 @@ static int find_image(const struct gltf_item *item, struct gltf_source *source, 
     if (uri && fmt_gltf_find_data(uri, &extent.offset, &size)) {
         const bool plain = fmt_input_is_plain(d->input);
         source->unread.packed_images += !plain;
-        status = plain ? fmt_gltf_measure_data(item, extent.offset, size, &extent.size) : 0;
-        return status || !plain ? status : fmt_extent_name(d->ctx, d->file.path, &extent, out);
+        if (!plain)
+            return 0;
+        BSQ_PASS(fmt_gltf_measure_data(item, extent.offset, size, &extent.size));
+        return fmt_extent_name(d->ctx, d->file.path, &extent, out);
     }
     const char *beside = fmt_input_beside(d->input);
     const int found = uri ? fmt_gltf_uri_path(d->ctx, beside, uri, false, out, &exists) : 0;
@@ -83,14 +83,13 @@ static int find_texture(struct gltf_document *document, struct gltf_source *sour
     const struct gltf_item item = fmt_gltf_element(document, "textures", texture);
     uint32_t image;
     read_wrap(&item, wrap);
-    int status = fmt_gltf_index(&item, item.object, "source", "images", &image);
-    if (!status && image == GLTF_NONE)
-        status = fmt_gltf_index(&item, fmt_gltf_extension(item.object, "EXT_texture_webp"),
-                                "source", "images", &image);
-    if (!status && image == GLTF_NONE)
-        source->unread.images++;
-    if (status || image == GLTF_NONE)
-        return status;
+    BSQ_PASS(fmt_gltf_index(&item, item.object, "source", "images", &image));
+    if (image == GLTF_NONE)
+        BSQ_PASS(fmt_gltf_index(&item, fmt_gltf_extension(item.object, "EXT_texture_webp"),
+                                "source", "images", &image));
+    source->unread.images += image == GLTF_NONE;
+    if (image == GLTF_NONE)
+        return 0;
     const struct gltf_item image_item = fmt_gltf_element(document, "images", image);
     return find_image(&image_item, source, out);
 }
@@ -102,15 +101,14 @@ static int find_texture(struct gltf_document *document, struct gltf_source *sour
 static int read_transform(const struct gltf_item *item, const json_t *transform, double out[2][3])
 {
     double offset[2] = {0, 0}, scale[2] = {1, 1}, rotation;
-    int status = fmt_gltf_numbers(item, transform, "offset", 2, offset);
-    if (!status)
-        status = fmt_gltf_numbers(item, transform, "scale", 2, scale);
+    BSQ_PASS(fmt_gltf_numbers(item, transform, "offset", 2, offset));
+    BSQ_PASS(fmt_gltf_numbers(item, transform, "scale", 2, scale));
     rotation = json_number_value(json_object_get(transform, "rotation"));
     const double c = cos(rotation), s = sin(rotation);
     const double matrix[2][3] = {{c * scale[0], s * scale[1], offset[0]},
                                  {-s * scale[0], c * scale[1], offset[1]}};
     memcpy(out, matrix, sizeof matrix);
-    return status;
+    return 0;
 }
 
 /* Reads which texture coordinates a texture uses: the number of their set, and the matrix of
@@ -122,11 +120,10 @@ static int read_texcoord(const struct gltf_item *item, const json_t *info, uint3
     const json_t *transform = fmt_gltf_extension(info, "KHR_texture_transform");
     uint64_t number = 0;
     memcpy(matrix, identity, sizeof identity);
-    int status = fmt_gltf_number(item, info, "texCoord", 1000000, &number);
-    if (!status)
-        status = fmt_gltf_number(item, transform, "texCoord", 1000000, &number);
+    BSQ_PASS(fmt_gltf_number(item, info, "texCoord", 1000000, &number));
+    BSQ_PASS(fmt_gltf_number(item, transform, "texCoord", 1000000, &number));
     *set = (uint32_t)number;
-    return status || !transform ? status : read_transform(item, transform, matrix);
+    return transform ? read_transform(item, transform, matrix) : 0;
 }
 
 /* Returns the texture that chooses the texture coordinates of a material: the base colour's, or
@@ -344,10 +341,8 @@ static int read_opacity(const struct gltf_item *item, double alpha, struct fmt_m
     out->cutout = mode && strcmp(mode, "MASK") == 0;
     if (out->opaque)
         return 0;
-    int status =
-        fmt_material_enter_channel(item->document->ctx, out, fmt_channel_find("opacity"), &opacity);
-    if (status)
-        return status;
+    BSQ_PASS(fmt_material_enter_channel(item->document->ctx, out, fmt_channel_find("opacity"),
+                                        &opacity));
     opacity->value[0] = out->cutout ? (float)(alpha >= cutoff) : (float)alpha;
     opacity->has_value = true;
     opacity->factor[0] = opacity->factor[1] = opacity->factor[2] = (float)alpha;

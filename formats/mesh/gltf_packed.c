@@ -66,14 +66,12 @@ static int add_decoded(const struct gltf_item *item, struct gltf_source *source,
 static int add_packed(const struct gltf_item *item, struct gltf_source *source,
                       const struct gltf_packed *packed)
 {
-    int status = 0;
     if (source->packed_count == source->packed_capacity)
-        status =
-            BSQ_GROW(item->document->ctx, "compressed views", (uint64_t)source->packed_count + 1,
-                     &source->packed, &source->packed_capacity);
-    if (!status)
-        source->packed[source->packed_count++] = *packed;
-    return status;
+        BSQ_PASS(BSQ_GROW(item->document->ctx, "compressed views",
+                          (uint64_t)source->packed_count + 1, &source->packed,
+                          &source->packed_capacity));
+    source->packed[source->packed_count++] = *packed;
+    return 0;
 }
 
 int fmt_gltf_read_packed_view(const struct gltf_item *item, struct gltf_source *source,
@@ -132,14 +130,10 @@ static int add_view(const struct gltf_item *item, struct gltf_source *source, ui
         __builtin_mul_overflow(accessor->count, (uint64_t)accessor->components * component_bytes,
                                &view.size))
         return fmt_gltf_fail(item, "too many elements");
-    int status = 0;
     if (source->view_count == source->view_capacity)
-        status = BSQ_GROW(item->document->ctx, "glTF views", (uint64_t)source->view_count + 1,
-                          &source->views, &source->view_capacity);
-    if (!status)
-        status = add_decoded(item, source, view.size, &view.offset);
-    if (status)
-        return status;
+        BSQ_PASS(BSQ_GROW(item->document->ctx, "glTF views", (uint64_t)source->view_count + 1,
+                          &source->views, &source->view_capacity));
+    BSQ_PASS(add_decoded(item, source, view.size, &view.offset));
     accessor->view = source->view_count;
     accessor->offset = 0;
     source->views[source->view_count++] = view;

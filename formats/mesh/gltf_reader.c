@@ -199,25 +199,25 @@ static int parse_positions(struct parser *p)
 {
     const double(*m)[4] = p->placement->matrix;
     const double *from;
-    const int status = decode(p, GLTF_POSITION, &from);
-    for (uint64_t i = 0; !status && i < p->count; i++, from += 3)
+    BSQ_PASS(decode(p, GLTF_POSITION, &from));
+    for (uint64_t i = 0; i < p->count; i++, from += 3)
         for (int k = 0; k < 3; k++)
             p->arrays->positions[i][k] =
                 m[k][0] * from[0] + m[k][1] * from[1] + m[k][2] * from[2] + m[k][3];
-    return status;
+    return 0;
 }
 
 static int parse_normals(struct parser *p)
 {
     const double(*m)[3] = p->placement->normal_matrix;
     const double *from;
-    const int status = decode(p, GLTF_NORMAL, &from);
-    for (uint64_t i = 0; !status && i < p->count; i++, from += 3)
+    BSQ_PASS(decode(p, GLTF_NORMAL, &from));
+    for (uint64_t i = 0; i < p->count; i++, from += 3)
         for (int k = 0; k < 3; k++) {
             const double value = m[k][0] * from[0] + m[k][1] * from[1] + m[k][2] * from[2];
             p->arrays->normals[i][k] = fabs(value) <= 3e38 ? (float)value : NAN;
         }
-    return status;
+    return 0;
 }
 
 /* v of glTF points downwards, v of a batch upwards. */
@@ -229,13 +229,13 @@ static int parse_texcoords(struct parser *p)
                               ? plain
                               : (const double(*)[3])p->source->materials[material].uv_matrix;
     const double *from;
-    const int status = decode(p, GLTF_TEXCOORD, &from);
-    for (uint64_t i = 0; !status && i < p->count; i++, from += 2) {
+    BSQ_PASS(decode(p, GLTF_TEXCOORD, &from));
+    for (uint64_t i = 0; i < p->count; i++, from += 2) {
         double *to = p->arrays->texcoords[i];
         to[0] = m[0][0] * from[0] + m[0][1] * from[1] + m[0][2];
         to[1] = 1 - (m[1][0] * from[0] + m[1][1] * from[1] + m[1][2]);
     }
-    return status;
+    return 0;
 }
 
 /* Returns the sRGB value of linear light. One out of range stays so, for callers that count them;
@@ -308,17 +308,16 @@ struct window {
 static int load_window(const struct parser *p, struct window *w)
 {
     const uint32_t mode = p->primitive->mode, list = p->primitive->accessors[GLTF_INDEX];
-    int status = 0;
     *w = (struct window){.first = p->first, .count = p->count + 2};
     if (mode == 4)
         *w = (struct window){.first = 3 * p->first, .count = 3 * p->count};
     if (list == GLTF_NONE)
         return 0;
     if (mode == 6) {
-        status = fmt_gltf_decode(p->slot, list, 0, 1, &w->values);
-        w->start = status ? 0 : (uint64_t)w->values[0];
+        BSQ_PASS(fmt_gltf_decode(p->slot, list, 0, 1, &w->values));
+        w->start = (uint64_t)w->values[0];
     }
-    return status ? status : fmt_gltf_decode(p->slot, list, w->first, w->count, &w->values);
+    return fmt_gltf_decode(p->slot, list, w->first, w->count, &w->values);
 }
 
 static uint64_t entry(const struct window *w, uint64_t i)

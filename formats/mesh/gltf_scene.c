@@ -135,21 +135,19 @@ static int read_primitive(const struct gltf_item *item, struct gltf_source *sour
                           const json_t *object, struct gltf_primitive *out)
 {
     uint64_t mode = MODE_TRIANGLES;
-    int status = fmt_gltf_number(item, object, "mode", 6, &mode);
+    BSQ_PASS(fmt_gltf_number(item, object, "mode", 6, &mode));
     out->mode = (uint32_t)mode;
-    if (!status && mode < MODE_TRIANGLES) {
+    if (mode < MODE_TRIANGLES) {
         source->unread.points++;
         return 0;
     }
-    if (!status)
-        status = fmt_gltf_index(item, object, "material", "materials", &out->material);
-    if (!status)
-        status = read_accessors(item, source, object, out);
+    BSQ_PASS(fmt_gltf_index(item, object, "material", "materials", &out->material));
+    BSQ_PASS(read_accessors(item, source, object, out));
     const struct gltf_accessor *positions = gltf_accessor_of(source, out, GLTF_POSITION);
     struct gltf_accessor *colors = gltf_accessor_of(source, out, GLTF_COLOR);
-    source->unread.bare += !status && !positions;
-    if (status || !positions)
-        return status;
+    source->unread.bare += !positions;
+    if (!positions)
+        return 0;
     count_triangles(source, out);
     if (out->triangles == 0)
         return 0;
@@ -174,13 +172,13 @@ static int add_primitive(const struct gltf_item *item, const struct gltf_source 
         [FMT_MESH_VERTEX] = vertices,
         [FMT_MESH_TEXCOORD] = p->accessors[GLTF_TEXCOORD] != GLTF_NONE ? vertices : 0,
         [FMT_MESH_NORMAL] = p->accessors[GLTF_NORMAL] != GLTF_NONE ? vertices : 0};
-    int status = add(item, &mesh->triangles, p->triangles);
-    for (int kind = 0; kind < FMT_MESH_KIND_COUNT && !status; kind++) {
+    BSQ_PASS(add(item, &mesh->triangles, p->triangles));
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
         p->base[kind] = mesh->total[kind];
-        status = add(item, &mesh->total[kind], counts[kind]);
+        BSQ_PASS(add(item, &mesh->total[kind], counts[kind]));
     }
     mesh->count++;
-    return status;
+    return 0;
 }
 
 int fmt_gltf_read_mesh(const struct gltf_item *item, struct gltf_source *source, void *element)
@@ -355,11 +353,10 @@ static int add_placement(struct walk *w, const struct gltf_item *item, uint32_t 
 static int place_mesh(struct walk *w, const struct gltf_item *item, const double matrix[3][4])
 {
     uint32_t mesh, skin;
-    int status = fmt_gltf_index(item, item->object, "mesh", "meshes", &mesh);
-    if (!status)
-        status = fmt_gltf_index(item, item->object, "skin", "skins", &skin);
-    if (status || mesh == GLTF_NONE)
-        return status;
+    BSQ_PASS(fmt_gltf_index(item, item->object, "mesh", "meshes", &mesh));
+    BSQ_PASS(fmt_gltf_index(item, item->object, "skin", "skins", &skin));
+    if (mesh == GLTF_NONE)
+        return 0;
     w->source->unread.skins += skin != GLTF_NONE;
     w->source->unread.instances +=
         fmt_gltf_extension(item->object, "EXT_mesh_gpu_instancing") != NULL;

@@ -73,15 +73,15 @@ static int append_blocks(struct loader *loader, const struct fmt_mesh_batch *bat
 {
     struct fmt_mesh *mesh = loader->mesh;
     uint32_t material = batch->material_at_start;
-    int status = BSQ_GROW(loader->ctx, "materials of faces", batch->face_base + batch->face_count,
-                          &mesh->face_materials, &loader->material_capacity);
+    BSQ_PASS(BSQ_GROW(loader->ctx, "materials of faces", batch->face_base + batch->face_count,
+                      &mesh->face_materials, &loader->material_capacity));
     uint64_t next = 0;
-    for (uint64_t face = 0; face < batch->face_count && status == 0; face++) {
+    for (uint64_t face = 0; face < batch->face_count; face++) {
         while (next < batch->material_change_count && batch->material_changes[next].face <= face)
             material = batch->material_changes[next++].material;
         mesh->face_materials[batch->face_base + face] = material;
     }
-    return status;
+    return 0;
 }
 
 static int collect(void *arg, const struct fmt_mesh_batch *batch)
@@ -158,13 +158,12 @@ static int check_corner(struct loader *loader, const uint64_t totals[3], uint64_
 static int check_corners(struct loader *loader, const uint64_t totals[3])
 {
     uint64_t corner = 0;
-    int status = 0;
-    for (uint64_t face = 0; face < loader->mesh->face_count && !status; face++) {
-        status = face % 4096 == 0 ? bsq_check(loader->ctx) : 0;
-        for (uint32_t i = 0; i < loader->face_sizes[face] && !status; i++, corner++)
-            status = check_corner(loader, totals, face, corner);
+    for (uint64_t face = 0; face < loader->mesh->face_count; face++) {
+        BSQ_PASS(face % 4096 == 0 ? bsq_check(loader->ctx) : 0);
+        for (uint32_t i = 0; i < loader->face_sizes[face]; i++, corner++)
+            BSQ_PASS(check_corner(loader, totals, face, corner));
     }
-    return status;
+    return 0;
 }
 
 /* ---- splitting ---- */
@@ -195,29 +194,29 @@ static int split_face(struct loader *loader, uint64_t face, uint64_t first, uint
     for (uint32_t i = 0; i < size; i++)
         memcpy(loader->polygon[i], mesh->positions[loader->corners[0][first + i]],
                sizeof *loader->polygon);
-    int status = bsq_triangulate(loader->ctx, (const double(*)[3])loader->polygon, size,
-                                 loader->triangles, loader->scratch);
-    for (uint32_t t = 0; t < size - 2 && status == 0; t++) {
+    BSQ_PASS(bsq_triangulate(loader->ctx, (const double(*)[3])loader->polygon, size,
+                             loader->triangles, loader->scratch));
+    for (uint32_t t = 0; t < size - 2; t++) {
         mesh->faces[triangle + t] = face;
         for (int kind = 0; kind < 3; kind++)
             for (int i = 0; i < 3 && to[kind]; i++)
                 to[kind][triangle + t][i] =
                     loader->corners[kind][first + loader->triangles[3 * t + i]];
     }
-    return status;
+    return 0;
 }
 
 static int hash_faces(struct loader *loader)
 {
     struct fmt_mesh *mesh = loader->mesh;
     uint64_t corner = 0;
-    int status = BSQ_ALLOC(loader->ctx, "faces", mesh->face_count, &mesh->face_keys);
-    for (uint64_t face = 0; face < mesh->face_count && !status; face++) {
+    BSQ_PASS(BSQ_ALLOC(loader->ctx, "faces", mesh->face_count, &mesh->face_keys));
+    for (uint64_t face = 0; face < mesh->face_count; face++) {
         const uint32_t size = loader->face_sizes[face];
         mesh->face_keys[face] = XXH3_64bits(loader->corners[0] + corner, size * sizeof(uint32_t));
         corner += size;
     }
-    return status;
+    return 0;
 }
 
 static int make_triangles(struct loader *loader)

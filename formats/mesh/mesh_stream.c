@@ -77,11 +77,12 @@ int fmt_stream_extend(struct stream_slot *slot, uint64_t have, uint64_t size, ui
 int fmt_stream_load(struct stream_slot *slot)
 {
     const struct stream_block *block = &slot->block;
-    int status = slot->loaded ? 0 : fmt_stream_reserve(slot, block->size);
-    if (!status && !slot->loaded)
-        status = fmt_input_read(slot->source->input, slot->bytes, block->size, block->offset);
-    slot->loaded = !status;
-    return status;
+    if (slot->loaded)
+        return 0;
+    BSQ_PASS(fmt_stream_reserve(slot, block->size));
+    BSQ_PASS(fmt_input_read(slot->source->input, slot->bytes, block->size, block->offset));
+    slot->loaded = true;
+    return 0;
 }
 
 int fmt_stream_cut_text(struct stream_slot *slot, uint64_t usual,
@@ -217,9 +218,7 @@ static int produce(void *arg, void *slot_memory, uint64_t sequence)
             return status;
         }
         /* No block of an empty file passes, so nothing else closes it. */
-        status = reading->cut.end == 0 ? leave_file(source) : 0;
-        if (status != 0)
-            return status;
+        BSQ_PASS(reading->cut.end == 0 ? leave_file(source) : 0);
         reading->cut = (struct stream_block){.source = reading->cut.source + 1};
     }
     return 0;
@@ -250,12 +249,11 @@ static int work(void *arg, void *slot_memory, uint64_t sequence, unsigned worker
     (void)arg, (void)sequence, (void)worker;
     clear_slot(slot);
     slot->last_face = UINT64_MAX;
-    const int status = slot->block.failed ? 0 : slot->source->format->parse(slot);
-    if (!status && !slot->finite)
+    BSQ_PASS(slot->block.failed ? 0 : slot->source->format->parse(slot));
+    if (!slot->finite)
         mark_bad(slot);
-    if (!status)
-        look_for_fine_colors(slot);
-    return status;
+    look_for_fine_colors(slot);
+    return 0;
 }
 
 /* ---- materials ---- */
@@ -286,13 +284,12 @@ static int number_first_materials(struct stream_source *source)
     const bool objects = source->reader->objects;
     const uint64_t count = objects ? source->object_count : source->material_count;
     uint32_t number;
-    int status = 0;
     if (count >= FMT_MESH_NO_MATERIAL - source->reader->material_count)
         return bsq_fail(source->ctx, BSQ_EDATA, "%s: too many %s", source->path,
                         objects ? "objects" : "materials");
-    while (source->number_count < count && !status)
-        status = fmt_stream_add_material(source, &number);
-    return status;
+    while (source->number_count < count)
+        BSQ_PASS(fmt_stream_add_material(source, &number));
+    return 0;
 }
 
 /* ---- passing in order ---- */
@@ -367,12 +364,11 @@ static int add_face_block(const struct reading *reading, const struct stream_slo
     struct fmt_mesh_reader *reader = reading->reader;
     if (slot->arrays.face_count == 0)
         return 0;
-    int status = FMT_RESERVE(reader->ctx, reader->face_block_count + 1, reader->face_blocks,
-                             reader->face_block_capacity);
-    if (!status)
-        reader->face_blocks[reader->face_block_count++] = (struct stream_face_block){
-            .block = slot->block, .face_base = reading->reader->totals->faces};
-    return status;
+    BSQ_PASS(FMT_RESERVE(reader->ctx, reader->face_block_count + 1, reader->face_blocks,
+                         reader->face_block_capacity));
+    reader->face_blocks[reader->face_block_count++] = (struct stream_face_block){
+        .block = slot->block, .face_base = reading->reader->totals->faces};
+    return 0;
 }
 
 /* Adds the oddities of a block to the notes of all files. */
@@ -551,34 +547,32 @@ static int run_reading(struct reading *reading)
 int fmt_stream_warn_unread(const struct stream_source *source, const struct stream_unread *kinds,
                            size_t count)
 {
-    int status = 0;
-    for (size_t i = 0; i < count && !status && !source->reader->read_before; i++) {
+    for (size_t i = 0; i < count && !source->reader->read_before; i++) {
         if (kinds[i].count > 0 && kinds[i].loss)
-            status = bsq_warn_loss(source->ctx, "%s: %" PRIu64 " %s", source->path, kinds[i].count,
-                                   kinds[i].what);
+            BSQ_PASS(bsq_warn_loss(source->ctx, "%s: %" PRIu64 " %s", source->path, kinds[i].count,
+                                   kinds[i].what));
         else if (kinds[i].count > 0)
             bsq_warn(source->ctx, "%s: %" PRIu64 " %s", source->path, kinds[i].count,
                      kinds[i].what);
     }
-    return status;
+    return 0;
 }
 
 /* Warns once of each kind of oddity: with its first line, if that is known. */
 static int warn_oddities(const struct fmt_mesh_reader *reader)
 {
-    int status = 0;
-    for (uint64_t i = 0; i < reader->note_count && !status; i++) {
+    for (uint64_t i = 0; i < reader->note_count; i++) {
         const struct stream_note *note = &reader->notes[i];
         const struct stream_unread kind = {note->odd.count, true, note->text};
         if (note->odd.at == 0)
-            status = fmt_stream_warn_unread(&reader->sources[note->source], &kind, 1);
+            BSQ_PASS(fmt_stream_warn_unread(&reader->sources[note->source], &kind, 1));
         else
-            status =
-                bsq_warn_loss(reader->ctx, "%s:%s%" PRIu64 ": %s: %" PRIu64 "; this is the first",
-                              reader->sources[note->source].path, note->bytes ? " byte " : "",
-                              note->odd.at, note->text, note->odd.count);
+            BSQ_PASS(bsq_warn_loss(reader->ctx,
+                                   "%s:%s%" PRIu64 ": %s: %" PRIu64 "; this is the first",
+                                   reader->sources[note->source].path, note->bytes ? " byte " : "",
+                                   note->odd.at, note->text, note->odd.count));
     }
-    return status;
+    return 0;
 }
 
 int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps,

@@ -218,10 +218,9 @@ static int note_place(struct reader *reader, char **place)
 {
     const size_t size = strlen(reader->path) + 24;
     bsq_free(reader->ctx, *place);
-    int status = bsq_alloc(reader->ctx, "names", size, 1, place);
-    if (!status)
-        snprintf(*place, size, "%s:%" PRIu64, reader->path, reader->line);
-    return status;
+    BSQ_PASS(bsq_alloc(reader->ctx, "names", size, 1, place));
+    snprintf(*place, size, "%s:%" PRIu64, reader->path, reader->line);
+    return 0;
 }
 
 /* Reads "[options] file" of a statement. The file name may contain blanks and be quoted. */
@@ -233,21 +232,16 @@ static int read_map(struct reader *reader, char *p, struct fmt_material_channel 
     const struct map_option *option;
     char *path = NULL;
     bool exists = false;
-    int status = 0;
     trim_end(p);
-    while (!status && (option = find_option(p)))
-        status = read_option(reader, &p, option, &texture);
-    if (status)
-        return status;
+    while ((option = find_option(p)))
+        BSQ_PASS(read_option(reader, &p, option, &texture));
     if (!*p || (*p == '#' && (!p[1] || fmt_mesh_is_blank(p[1]))) || !strcmp(p, "\"\""))
         return warn(reader, "names no file, ignored", statement);
-    status = fmt_path_find(reader->ctx, reader->path, p, &path, &exists);
-    if (!status && !exists && texture.after_vector) {
+    BSQ_PASS(fmt_path_find(reader->ctx, reader->path, p, &path, &exists));
+    if (!exists && texture.after_vector) {
         bsq_free(reader->ctx, path);
         return warn(reader, "names no file, ignored", statement);
     }
-    if (status)
-        return status;
     bsq_free(reader->ctx, entry->texture_path);
     entry->texture_path = path;
     entry->uv = texture.uv;
@@ -296,14 +290,11 @@ static int read_property(struct reader *reader, const struct fmt_channel *channe
 {
     struct fmt_material *material = current(reader);
     struct fmt_material_channel *entry;
-    int status = 0;
     if (!material)
         return warn(reader, unnamed_material, is_map ? channel->mtl_map : channel->mtl_value);
     entry = &material->color;
     if (channel != &fmt_color_channel)
-        status = fmt_material_enter_channel(reader->ctx, material, channel, &entry);
-    if (status)
-        return status;
+        BSQ_PASS(fmt_material_enter_channel(reader->ctx, material, channel, &entry));
     return is_map ? read_map(reader, rest, entry) : read_channel_value(reader, p, rest, entry);
 }
 
@@ -413,9 +404,8 @@ static int check_readable(const struct reader *reader, bool *readable)
 static int warn_damaged(const struct reader *reader)
 {
     char *why;
-    int status = bsq_text_copy(reader->ctx, bsq_error(reader->ctx), &why);
-    if (status)
-        return status;
+    int status = 0;
+    BSQ_PASS(bsq_text_copy(reader->ctx, bsq_error(reader->ctx), &why));
     bsq_clear_error(reader->ctx);
     if (!reader->again)
         status =

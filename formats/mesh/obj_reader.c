@@ -55,9 +55,8 @@ int fmt_obj_cut(const struct stream_block *before, struct stream_slot *slot)
 
 static int parse(struct stream_slot *slot)
 {
-    int status = fmt_stream_load(slot);
-    return status ? status
-                  : fmt_obj_parse_text(slot, 0, slot->block.size, slot->source->reader->objects);
+    BSQ_PASS(fmt_stream_load(slot));
+    return fmt_obj_parse_text(slot, 0, slot->block.size, slot->source->reader->objects);
 }
 
 /* ---- passing in order ---- */
@@ -76,8 +75,7 @@ static int fail_relative(const struct stream_slot *slot, uint64_t corner)
     int status = fmt_stream_parse_again(slot->source, &slot->block, face, &again);
     const uint64_t count = again.arrays.count[kind];
     fmt_stream_free_slot(&again);
-    if (status)
-        return status;
+    BSQ_PASS(status);
     return bsq_fail(slot->ctx, BSQ_EDATA,
                     "%s:%" PRIu64 ": face refers to %s %" PRId64 ", file has %" PRIu64 " so far",
                     slot->source->path, again.at, fmt_mesh_kind_names[kind],
@@ -307,9 +305,8 @@ int fmt_obj_estimate(struct stream_source *source, uint64_t bytes, bool plain,
     const uint64_t step = bytes / SAMPLES > size ? bytes / SAMPLES : size;
     uint64_t got, parsed = 0, more = 0;
     bool follows = false;
-    int status = fmt_input_open(source->input);
-    if (status)
-        return status;
+    int status;
+    BSQ_PASS(fmt_input_open(source->input));
     do {
         BSQ_TRY(fmt_stream_reserve(&slot, size));
         BSQ_TRY(fmt_input_read_some(source->input, slot.bytes, size, slot.block.offset, &got));

@@ -60,13 +60,11 @@ static int fail_line(const struct lines *l, const char *what, const char *text)
 static int load_more(struct lines *l, uint64_t *got)
 {
     uint64_t at = l->header->bytes + l->have;
-    int status =
-        bsq_grow(l->ctx, "header of a PLY file", l->have + step_bytes, 1, &l->text, &l->capacity);
-    if (!status)
-        status = fmt_input_read_some(l->input, l->text + l->have, step_bytes, at, got);
-    if (!status)
-        l->have += *got;
-    return status;
+    BSQ_PASS(
+        bsq_grow(l->ctx, "header of a PLY file", l->have + step_bytes, 1, &l->text, &l->capacity));
+    BSQ_PASS(fmt_input_read_some(l->input, l->text + l->have, step_bytes, at, got));
+    l->have += *got;
+    return 0;
 }
 
 /* Finds the end of the line: at '\n', or at '\r' in a file whose first line ends so. */
@@ -103,14 +101,11 @@ static int next_line(struct lines *l)
     l->header->lines++;
     while (!(end = find_end(l, searched))) {
         searched = l->have > 0 ? l->have - 1 : 0;
-        int status = load_more(l, &got);
-        if (!status && got == 0)
-            status = bsq_fail(l->ctx, BSQ_EDATA, "%s:%" PRIu64 ": the header has no end", l->path,
-                              l->header->lines);
-        if (!status)
-            status = bsq_check(l->ctx);
-        if (status)
-            return status;
+        BSQ_PASS(load_more(l, &got));
+        if (got == 0)
+            return bsq_fail(l->ctx, BSQ_EDATA, "%s:%" PRIu64 ": the header has no end", l->path,
+                            l->header->lines);
+        BSQ_PASS(bsq_check(l->ctx));
     }
     if (l->header->lines == 1)
         l->header->line_end = *end;
@@ -222,12 +217,11 @@ static int read_comment(struct lines *l, char *rest)
     size_t length = strlen(rest);
     while (length > 0 && strchr(" \t\r", rest[length - 1]))
         rest[--length] = '\0';
-    int status = BSQ_GROW(l->ctx, "header of a PLY file", header->texture_count + 1,
-                          &header->textures, &header->texture_capacity);
-    if (!status)
-        status = bsq_text_copy(l->ctx, rest, &header->textures[header->texture_count]);
-    header->texture_count += status == 0;
-    return status;
+    BSQ_PASS(BSQ_GROW(l->ctx, "header of a PLY file", header->texture_count + 1, &header->textures,
+                      &header->texture_capacity));
+    BSQ_PASS(bsq_text_copy(l->ctx, rest, &header->textures[header->texture_count]));
+    header->texture_count++;
+    return 0;
 }
 
 static int read_statement(struct lines *l)

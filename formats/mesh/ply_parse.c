@@ -572,9 +572,7 @@ int fmt_ply_parse(const struct ply_element *element, struct stream_slot *slot)
                        .text = source->header.encoding == PLY_ASCII,
                        .swap = source->header.encoding == PLY_BIG_ENDIAN};
     uint64_t count = 0;
-    int status = reserve(&c, element);
-    if (status)
-        return status;
+    BSQ_PASS(reserve(&c, element));
     slot->arrays.vertex_bound = 0;
     for (int role = 0; role < PLY_ROLE_COUNT && element->kind == PLY_VERTICES; role++)
         if (element->role[role])

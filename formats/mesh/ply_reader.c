@@ -42,9 +42,7 @@ static int begin(struct stream_source *source)
     if (!status)
         status = fmt_ply_header_read(source->ctx, source->input, &file->header);
     const int closed = fmt_input_close(source->input);
-    status = status ? status : closed;
-    if (status)
-        return status;
+    BSQ_PASS(status ? status : closed);
     choose_use(file);
     source->material_count = source->object_count = file->header.texture_count;
     return 0;
@@ -206,14 +204,11 @@ static int cut_lists(struct cutter *c)
 {
     uint64_t size, items, wanted = STREAM_BLOCK_BYTES;
     for (;; wanted *= 2) {
-        int status = load(c, wanted);
-        if (status)
-            return status;
+        BSQ_PASS(load(c, wanted));
         items = count_whole(c, &size);
         if (items > 0 || c->slot->error[0] || c->at_file_end)
             break;
-        if ((status = bsq_check(c->ctx)))
-            return status;
+        BSQ_PASS(bsq_check(c->ctx));
     }
     if (items > 0) {
         /* What is wrong with the next element is reported with the next block. */
@@ -469,18 +464,17 @@ static int finish(struct stream_source *source)
     const struct ply_source *file = source->data;
     const struct ply_element *faces = fmt_ply_find_element(&file->header, PLY_FACES);
     const bool textured = file->tags == PLY_TAGS_TEXTURE;
-    int status = 0;
     if (source->reader->read_before)
         return 0;
     fmt_ply_warn_unread(source->ctx, source->path, &file->header);
     if (file->header.texture_count > 0 && !textured)
-        status =
-            bsq_warn_loss(source->ctx, "%s: no texture coordinates, so the texture %s is not used",
-                          source->path, file->header.textures[0]);
-    if (status == 0 && faces->role[PLY_RED] && file->tags != PLY_TAGS_COLOR)
-        status = bsq_warn_loss(source->ctx, "%s: colours of faces are not used beside %s",
-                               source->path, textured ? "a texture" : "those of vertices");
-    return status;
+        BSQ_PASS(bsq_warn_loss(source->ctx,
+                               "%s: no texture coordinates, so the texture %s is not used",
+                               source->path, file->header.textures[0]));
+    if (faces->role[PLY_RED] && file->tags != PLY_TAGS_COLOR)
+        return bsq_warn_loss(source->ctx, "%s: colours of faces are not used beside %s",
+                             source->path, textured ? "a texture" : "those of vertices");
+    return 0;
 }
 
 /* Faces are taken for triangles. */

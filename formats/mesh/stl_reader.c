@@ -494,9 +494,7 @@ static bool read_statement(struct text *t)
 static int parse_text(struct stream_slot *slot)
 {
     /* "vertex 0 0 0" takes 13 bytes. */
-    int status = begin_weld(slot, slot->block.size / 13 + 1);
-    if (status)
-        return status;
+    BSQ_PASS(begin_weld(slot, slot->block.size / 13 + 1));
     memset(slot->bytes + slot->block.size, 0, STREAM_PADDING);
     slot->bytes[slot->block.size] = '\n';
     struct text t = {.ctx = slot->ctx,
@@ -529,11 +527,9 @@ static int cut(const struct stream_block *before, struct stream_slot *slot)
 static int parse(struct stream_slot *slot)
 {
     const struct stl_source *file = slot->source->data;
-    int status = fmt_stream_load(slot);
     slot->local = 1u << FMT_MESH_VERTEX;
-    if (status)
-        return status;
-    status = file->kind == STL_TEXT ? parse_text(slot) : parse_binary(file, slot);
+    BSQ_PASS(fmt_stream_load(slot));
+    const int status = file->kind == STL_TEXT ? parse_text(slot) : parse_binary(file, slot);
     slot->arrays.vertex_bound = slot->arrays.count[FMT_MESH_VERTEX];
     return status;
 }

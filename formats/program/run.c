@@ -173,21 +173,19 @@ int fmt_program_convert(struct bsq_ctx *ctx, const struct fmt_converter *how, in
     struct stat info;
     char memory[24], seconds[24], text[201] = "", *arguments[5] = {program};
     uint64_t got = 0;
-    int count = 1, status;
+    int count = 1;
     snprintf(memory, sizeof memory, "%" PRIu64, left);
     snprintf(seconds, sizeof seconds, "%" PRIu64, how->seconds);
     if (how->option)
         arguments[count++] = how->option;
     arguments[count++] = memory;
     arguments[count] = seconds;
-    BSQ_TRY(fmt_program_find(ctx, how->program, how->purpose, program));
-    BSQ_TRY(fmt_program_run(ctx, arguments, from, to->fd, INFINITY, &end));
+    BSQ_PASS(fmt_program_find(ctx, how->program, how->purpose, program));
+    BSQ_PASS(fmt_program_run(ctx, arguments, from, to->fd, INFINITY, &end));
     if (fstat(to->fd, &info) == 0)
         to->size = (uint64_t)info.st_size;
     if (end.error == 0 && end.state == 0)
         return 0;
-    BSQ_TRY(bsq_file_read_some(ctx, to, text, sizeof text - 1, 0, &got));
-    status = fmt_program_fail(ctx, how->path, how->library, &end, text, how->seconds, left);
-done:
-    return status;
+    BSQ_PASS(bsq_file_read_some(ctx, to, text, sizeof text - 1, 0, &got));
+    return fmt_program_fail(ctx, how->path, how->library, &end, text, how->seconds, left);
 }

@@ -114,10 +114,10 @@ static const char *shading_name_of(const struct fmt_tris_header *header, uint64_
 int fmt_shading_add_ids(struct fmt_shading *shading)
 {
     const uint64_t count = source_count(shading);
-    int status = BSQ_ALLOC(shading->ctx, "ids", count, &shading->ids);
-    for (uint64_t m = 0; m < count && status == 0; m++)
+    BSQ_PASS(BSQ_ALLOC(shading->ctx, "ids", count, &shading->ids));
+    for (uint64_t m = 0; m < count; m++)
         shading->ids[m] = fmt_name_id(shading_name_of(shading->header, m));
-    return status;
+    return 0;
 }
 
 static int by_bytes(const void *a, const void *b)

@@ -204,24 +204,21 @@ int fmt_rows_open(struct bsq_ctx *ctx, const char *path, unsigned sharers, struc
 {
     struct fmt_extent extent;
     struct probe probe = {.ctx = ctx, .file = &rows->input.file, .extent = &extent};
-    int status;
     *rows = (struct fmt_rows){.input = {.ctx = ctx, .path = path, .file = BSQ_FILE_CLOSED}};
-    BSQ_TRY(fmt_extent_open(ctx, path, &extent, &rows->input.file));
+    BSQ_PASS(fmt_extent_open(ctx, path, &extent, &rows->input.file));
     rows_read_at(&probe, 0, probe.head, sizeof probe.head);
     const struct format *format = find_format(&probe);
-    BSQ_TRY(probe.status);
+    BSQ_PASS(probe.status);
     if (format) /* what is no image is not copied: it may be large */
-        BSQ_TRY(extract(rows, &extent));
+        BSQ_PASS(extract(rows, &extent));
     if (!format)
         return fmt_rows_unreadable(&rows->input, no_format);
-    status = open_decoder(rows, format, sharers);
-    if (status == BSQ_RETRY) {
-        rows->decoder->close(rows->state);
-        rows->state = NULL;
-        status = open_decoder(rows, &dwa_format, sharers);
-    }
-done:
-    return status;
+    const int status = open_decoder(rows, format, sharers);
+    if (status != BSQ_RETRY)
+        return status;
+    rows->decoder->close(rows->state);
+    rows->state = NULL;
+    return open_decoder(rows, &dwa_format, sharers);
 }
 
 void fmt_rows_close(struct fmt_rows *rows)

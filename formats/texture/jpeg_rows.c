@@ -134,10 +134,9 @@ static int jpeg_rows_read_header(struct jpeg_rows *rows, struct fmt_rows_info *o
 static int open_jpeg(struct fmt_rows_input *input, struct fmt_rows_info *info, void **state)
 {
     struct jpeg_rows *rows;
-    int status = BSQ_CALLOC(input->ctx, "a JPEG decoder", 1, &rows);
+    *state = NULL;
+    BSQ_PASS(BSQ_CALLOC(input->ctx, "a JPEG decoder", 1, &rows));
     *state = rows;
-    if (status < 0)
-        return status;
     rows->input = input;
     return jpeg_rows_read_header(rows, info) < 0 ? fmt_rows_unreadable(input, rows->message) : 0;
 }

@@ -105,10 +105,9 @@ static int png_rows_read_header(struct png_rows *rows, struct fmt_rows_info *out
 static int open_png(struct fmt_rows_input *input, struct fmt_rows_info *info, void **state)
 {
     struct png_rows *rows;
-    int status = BSQ_CALLOC(input->ctx, "a PNG decoder", 1, &rows);
+    *state = NULL;
+    BSQ_PASS(BSQ_CALLOC(input->ctx, "a PNG decoder", 1, &rows));
     *state = rows;
-    if (status < 0)
-        return status;
     rows->input = input;
     rows->png = png_create_read_struct_2(PNG_LIBPNG_VER_STRING, rows, on_error, on_warning, rows,
                                          png_rows_allocate, deallocate);

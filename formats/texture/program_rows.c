@@ -31,14 +31,12 @@ static int program_rows_run(const struct fmt_rows_input *input, struct bsq_file 
                                       .option = (char *)(uintptr_t)input->plugin,
                                       .memory = bytes,
                                       .seconds = LEAST_SECONDS + input->file.size / BYTES_A_SECOND};
-    int status;
     if (input->plugin[0]) /* libtiff has few libraries */
-        BSQ_TRY(fmt_program_check(ctx, how.purpose));
-    BSQ_TRY(bsq_file_temp(ctx, NULL, "a decoded image", out));
-    BSQ_TRY(bsq_reserve(ctx, "decoding a texture", bytes));
-    status = fmt_program_convert(ctx, &how, input->file.fd, out, program);
+        BSQ_PASS(fmt_program_check(ctx, how.purpose));
+    BSQ_PASS(bsq_file_temp(ctx, NULL, "a decoded image", out));
+    BSQ_PASS(bsq_reserve(ctx, "decoding a texture", bytes));
+    const int status = fmt_program_convert(ctx, &how, input->file.fd, out, program);
     bsq_release(ctx, bytes);
-done:
     return status;
 }
 

@@ -180,20 +180,20 @@ int fmt_pyramid_begin(struct fmt_pyramid *p, double gamma)
 {
     struct fmt_blocks *blocks = p->blocks;
     const uint32_t side = p->width < p->height ? p->width : p->height;
-    int status;
     for (p->level_count = 1; side >> (p->level_count + 1) >= CELLS_ALONG;)
         p->level_count++;
-    BSQ_TRY(BSQ_CALLOC(blocks->ctx, "texture", p->level_count, &p->levels));
+    BSQ_PASS(BSQ_CALLOC(blocks->ctx, "texture", p->level_count, &p->levels));
     const uint64_t count = pyramid_lay_out(p);
     pthread_mutex_lock(&blocks->lock);
-    status = p->sample_bytes < 4 ? find_table(blocks, 8 * p->sample_bytes, gamma, &p->table) : 0;
+    int status =
+        p->sample_bytes < 4 ? find_table(blocks, 8 * p->sample_bytes, gamma, &p->table) : 0;
     if (status == 0)
         status = pyramid_find_place(p, count);
     pthread_mutex_unlock(&blocks->lock);
+    BSQ_PASS(status);
     for (uint32_t n = 0; n < p->level_count; n++)
-        BSQ_TRY(status < 0 ? status : pyramid_prepare(p, &p->levels[n]));
-done:
-    return status;
+        BSQ_PASS(pyramid_prepare(p, &p->levels[n]));
+    return 0;
 }
 
 /* Converts a row to linear light. Returns the result. */

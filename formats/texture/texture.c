@@ -226,19 +226,16 @@ static const struct image *damaged_image(const struct fmt_textures *t,
 
 static int texture_decode_all(struct fmt_textures *t)
 {
-    int status;
-    BSQ_TRY(bsq_parallel_for(t->ctx, t->image_count, decode_image, t));
+    BSQ_PASS(bsq_parallel_for(t->ctx, t->image_count, decode_image, t));
     for (uint64_t i = 0; i < t->image_count; i++)
         if (t->images[i].status < 0)
-            BSQ_TRY(decode_again(t, &t->images[i]));
+            BSQ_PASS(decode_again(t, &t->images[i]));
     for (uint64_t i = 0; i < t->count && t->keeps; i++) {
         const struct image *damaged = damaged_image(t, &t->list[i]);
         if (damaged)
             return bsq_fail(t->ctx, damaged->status, "%s", damaged->damage);
     }
-    BSQ_TRY(fmt_blocks_finish(&t->blocks));
-done:
-    return status;
+    return fmt_blocks_finish(&t->blocks);
 }
 
 /* ---- opening and closing ---- */
@@ -428,8 +425,7 @@ int fmt_texture_sample(struct fmt_textures *t, uint32_t source, const uint8_t wr
 
 int fmt_textures_tell_damage(const struct fmt_textures *t)
 {
-    int status = 0;
-    for (uint64_t i = 0; i < t->count && status == 0; i++) {
+    for (uint64_t i = 0; i < t->count; i++) {
         const struct texture *texture = &t->list[i];
         const char *first = NULL;
         uint64_t count = 0;
@@ -439,11 +435,11 @@ int fmt_textures_tell_damage(const struct fmt_textures *t)
             count += damage != NULL;
         }
         if (count > 0)
-            status = bsq_warn_loss(t->ctx, "%s: %" PRIu64 " %s not used; the first: %s",
+            BSQ_PASS(bsq_warn_loss(t->ctx, "%s: %" PRIu64 " %s not used; the first: %s",
                                    texture->source.path, count,
-                                   count == 1 ? "tile is" : "tiles are", first);
+                                   count == 1 ? "tile is" : "tiles are", first));
     }
-    return status;
+    return 0;
 }
 
 /* Warns of texels of a file that are not finite, once for all images of this file. */

@@ -201,23 +201,20 @@ static int add_slice(struct batches *b, const struct batch_slice *slice)
 static int add_in_slices(struct batches *b, const struct batch_slice *whole)
 {
     struct run_reader *reader = vox_batch_reader(&b->batch);
-    int status = 0;
     vox_run_reader_seek(reader, whole->buckets, whole->bucket, 0);
-    for (uint64_t done = 0; status == 0 && done < whole->count;) {
+    for (uint64_t done = 0; done < whole->count;) {
         struct batch_slice slice = *whole;
         slice.offset = run_reader_tell(reader);
         slice.count = 0;
-        while (status == 0 && slice.count + RUN_TRIANGLES <= b->slice_limit &&
-               done + slice.count < whole->count) {
+        while (slice.count + RUN_TRIANGLES <= b->slice_limit && done + slice.count < whole->count) {
             uint32_t count = 0;
-            status = vox_run_reader_next(reader, NULL, &count);
+            BSQ_PASS(vox_run_reader_next(reader, NULL, &count));
             slice.count += count;
         }
-        if (status == 0)
-            status = add_slice(b, &slice);
+        BSQ_PASS(add_slice(b, &slice));
         done += slice.count;
     }
-    return status;
+    return 0;
 }
 
 /* Distributes at most RUN_TRIANGLES tuples to the children of their bucket. levels: the children's
@@ -226,8 +223,7 @@ static int divide_run(struct batches *b, const uint8_t *tuples, uint32_t count, 
                       uint8_t *coded, struct bsq_spill *children)
 {
     const uint32_t bytes = b->partition->layout.bytes, mask = children->stream_count - 1;
-    int status = 0;
-    for (uint32_t first = 0, end; status == 0 && first < count; first = end) {
+    for (uint32_t first = 0, end; first < count; first = end) {
         uint32_t child = BSQ_SPILL_NONE;
         for (end = first; end < count; end++) {
             uint32_t number = (uint32_t)(vox_batch_key(&b->batch, tuples + end * bytes) >>
@@ -244,10 +240,10 @@ static int divide_run(struct batches *b, const uint8_t *tuples, uint32_t count, 
         const uint32_t before = run_header_bytes(&header);
         run_header_put(&header, coded);
         memcpy(coded + before, tuples + first * bytes, header.bytes);
-        status = bsq_spill_add(children, child, coded, before + header.bytes);
+        BSQ_PASS(bsq_spill_add(children, child, coded, before + header.bytes));
         children->list[child].items += end - first;
     }
-    return status;
+    return 0;
 }
 
 /* Distributes a bucket's triangles to its children. The batch must hold only triangles that were

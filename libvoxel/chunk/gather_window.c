@@ -87,13 +87,13 @@ int vox_gather_open(struct gather_window *w, const struct scan *scan,
 {
     *w = (struct gather_window){.ctx = scan->ctx, .scan = scan, .layout = layout, .view = *scan};
     assert(triangles <= UINT32_MAX / 3);
-    int status = bsq_alloc(w->ctx, "sorting", bsq_threads(w->ctx), BUFFER_BYTES, &w->buffers);
-    for (int kind = 0; status == 0 && kind < FMT_MESH_KIND_COUNT; kind++)
-        status = open_kind(w, kind);
-    for (int i = 0; status == 0 && i < SCAN_STREAM_COUNT; i++)
+    BSQ_PASS(bsq_alloc(w->ctx, "sorting", bsq_threads(w->ctx), BUFFER_BYTES, &w->buffers));
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
+        BSQ_PASS(open_kind(w, kind));
+    for (int i = 0; i < SCAN_STREAM_COUNT; i++)
         if (scan_keeps(scan, i) && w->kinds[scan_kind_of(i)].active)
-            status = window_open_stream(w, i, triangles);
-    return status;
+            BSQ_PASS(window_open_stream(w, i, triangles));
+    return 0;
 }
 
 void vox_gather_close(struct gather_window *w)
@@ -251,24 +251,22 @@ static int fetch_range(void *arg, uint64_t number, unsigned worker)
     const uint32_t bytes = stream->element_bytes;
     uint8_t *buffer = w->buffers + worker * BUFFER_BYTES;
     const uint64_t words = used_words(kind->count), end = range_end(kind, number);
-    int status = 0;
     if (!range_has_marks(kind, number))
         return 0;
-    for (uint64_t word = number * GATHER_RANGE_WORDS; status == 0 && word < end; word++) {
+    for (uint64_t word = number * GATHER_RANGE_WORDS; word < end; word++) {
         if (!word_at(kind, word))
             continue;
         uint64_t end_word = read_end(kind, word, end);
         uint64_t count = (end_word < words ? 64 * end_word : kind->count) - 64 * word;
-        status = stream_read(stream, 64 * word, count, buffer);
-        if (status == 0 && fetch->stream == SCAN_COLORS)
+        BSQ_PASS(stream_read(stream, 64 * word, count, buffer));
+        if (fetch->stream == SCAN_COLORS)
             vox_scan_scale_colors(w->scan, 64 * word, count, (uint32_t *)(void *)buffer, NULL);
-        if (status == 0 && fetch->stream == SCAN_FINE_COLORS)
-            status = scale_fine_colors(w->scan, 64 * word, count, (uint32_t *)(void *)buffer);
-        if (status == 0)
-            window_gather(kind, word, end_word, buffer, bytes, w->elements[fetch->stream]);
+        if (fetch->stream == SCAN_FINE_COLORS)
+            BSQ_PASS(scale_fine_colors(w->scan, 64 * word, count, (uint32_t *)(void *)buffer));
+        window_gather(kind, word, end_word, buffer, bytes, w->elements[fetch->stream]);
         word = end_word - 1;
     }
-    return status;
+    return 0;
 }
 
 static int fetch_stream(struct gather_window *w, enum scan_stream number)
@@ -281,14 +279,13 @@ static int fetch_stream(struct gather_window *w, enum scan_stream number)
 
 int vox_gather_fetch(struct gather_window *w, used_word *used)
 {
-    int status = 0;
     for (int i = 0; i < FMT_MESH_KIND_COUNT; i++)
         if (w->kinds[i].active)
             rank(&w->kinds[i], i == FMT_MESH_VERTEX ? used : NULL);
-    for (int i = 0; status == 0 && i < SCAN_STREAM_COUNT; i++)
+    for (int i = 0; i < SCAN_STREAM_COUNT; i++)
         if (w->elements[i])
-            status = fetch_stream(w, i);
-    return status;
+            BSQ_PASS(fetch_stream(w, i));
+    return 0;
 }
 
 /* ---- numbers ---- */

@@ -398,21 +398,20 @@ int vox_batch_read(struct batch *b, uint64_t left, uint64_t most, uint64_t *coun
                    const uint8_t **out)
 {
     uint8_t *tuples = b->tuples + b->tuples_end * b->partition->layout.bytes;
-    int status = bsq_check(b->ctx);
     *out = tuples;
     *count = 0;
-    while (status == 0 && *count < left && *count + RUN_TRIANGLES <= most) {
+    BSQ_PASS(bsq_check(b->ctx));
+    while (*count < left && *count + RUN_TRIANGLES <= most) {
         uint32_t more;
-        status = vox_run_reader_next(vox_batch_reader(b),
-                                     tuples + *count * b->partition->layout.bytes, &more);
-        *count += status == 0 ? more : 0;
+        BSQ_PASS(vox_run_reader_next(vox_batch_reader(b),
+                                     tuples + *count * b->partition->layout.bytes, &more));
+        *count += more;
     }
-    if (status == 0 && b->gathered) {
-        vox_gather_clear(&b->window);
-        vox_gather_mark(&b->window, tuples, *count);
-        status = vox_gather_fetch(&b->window, NULL);
-    }
-    return status;
+    if (!b->gathered)
+        return 0;
+    vox_gather_clear(&b->window);
+    vox_gather_mark(&b->window, tuples, *count);
+    return vox_gather_fetch(&b->window, NULL);
 }
 
 uint64_t vox_batch_key(const struct batch *b, const uint8_t *tuple)

@@ -161,11 +161,10 @@ static int normals_make_buckets(struct normals_run *run, const char *beside)
         (uint32_t)((run->chunk_count + MOST_ANSWER_BUCKETS - 1) / MOST_ANSWER_BUCKETS);
     const uint32_t answers =
         (uint32_t)((run->chunk_count + run->answer_chunks - 1) / run->answer_chunks);
-    int status = bsq_spill_init(&run->corners, run->ctx, "corners between chunks", beside, corners,
-                                corners, PAGE_BYTES, pages / 4 * 3);
-    return status < 0 ? status
-                      : bsq_spill_init(&run->answers, run->ctx, "normals", beside, answers, answers,
-                                       PAGE_BYTES, pages / 4);
+    BSQ_PASS(bsq_spill_init(&run->corners, run->ctx, "corners between chunks", beside, corners,
+                            corners, PAGE_BYTES, pages / 4 * 3));
+    return bsq_spill_init(&run->answers, run->ctx, "normals", beside, answers, answers, PAGE_BYTES,
+                          pages / 4);
 }
 
 /* Fills a section with the normals of the chunks of its file. */

@@ -238,17 +238,16 @@ static int visit_emit(void *arg, void *slot, uint64_t sequence)
     const uint32_t chunk = (uint32_t)sequence;
     struct normals_run *run = arg;
     struct ring_slot *s = slot;
-    int status = 0;
-    for (uint32_t i = 0; i < s->open_count && status == 0; i++)
-        status = send_triangle(run, chunk, s, s->open_triangles[i]);
-    for (uint32_t v = 0; v < s->tris.vertex_count && s->found_count > 0 && status == 0; v++) {
+    for (uint32_t i = 0; i < s->open_count; i++)
+        BSQ_PASS(send_triangle(run, chunk, s, s->open_triangles[i]));
+    for (uint32_t v = 0; v < s->tris.vertex_count && s->found_count > 0; v++) {
         const uint32_t found = s->found_of[s->ring_of[v]];
         const struct normals_answer answer = {chunk, v | ANSWER_CREASE, s->normals[v],
                                               found ? s->found[found - 1] : 0};
-        status = found ? vox_normals_answer(run, &answer) : 0;
+        BSQ_PASS(found ? vox_normals_answer(run, &answer) : 0);
     }
     bsq_progress_add(run->ctx, 1);
-    return status;
+    return 0;
 }
 
 int vox_normals_visit_chunks(struct normals_run *run)

@@ -91,10 +91,10 @@ static bool find_ring(struct open_worker *w, const float position[3], uint32_t h
 static int read_records(struct open_worker *w, const struct open_part *part, uint64_t first,
                         uint32_t count, struct bsq_spill_cursor *cursor, bool *fits)
 {
-    const int status = bsq_spill_read(&w->run->corners, part->bucket, first * sizeof *w->records,
-                                      count * sizeof *w->records, w->records, cursor);
+    BSQ_PASS(bsq_spill_read(&w->run->corners, part->bucket, first * sizeof *w->records,
+                            count * sizeof *w->records, w->records, cursor));
     memset(w->ring_of, 0, 3 * RECORDS * sizeof *w->ring_of);
-    for (uint32_t i = 0; i < count && status == 0 && *fits; i++) {
+    for (uint32_t i = 0; i < count && *fits; i++) {
         const struct open_corner *record = &w->records[i];
         const uint32_t corner = record->vertex >> OPEN_CORNER_SHIFT & 3;
         const uint32_t hash = bsq_position_hash(record->triangle[corner]);
@@ -102,7 +102,7 @@ static int read_records(struct open_worker *w, const struct open_part *part, uin
         if ((part_bits(hash) & part->mask) == part->bits)
             *fits = find_ring(w, record->triangle[corner], hash, &w->ring_of[3 * i + corner]);
     }
-    return status;
+    return 0;
 }
 
 /* Adds the answers that the records ask for. */
@@ -132,19 +132,17 @@ static int run_records(struct open_worker *w, const struct open_part *part, bool
     vox_rings_add_fn *const add = BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_add);
     const uint64_t records = w->run->corners.list[part->bucket].bytes / sizeof *w->records;
     struct bsq_spill_cursor cursor = {0};
-    int status = 0;
-    for (uint64_t first = 0; first < records && *fits && status == 0; first += RECORDS) {
+    for (uint64_t first = 0; first < records && *fits; first += RECORDS) {
         const uint32_t count =
             records - first < RECORDS ? (uint32_t)(records - first) : (uint32_t)RECORDS;
-        BSQ_TRY(bsq_check(w->run->ctx));
-        BSQ_TRY(read_records(w, part, first, count, &cursor, fits));
+        BSQ_PASS(bsq_check(w->run->ctx));
+        BSQ_PASS(read_records(w, part, first, count, &cursor, fits));
         if (answers)
-            status = answer_records(w, count);
+            BSQ_PASS(answer_records(w, count));
         else if (*fits)
             add(&w->rings, step, w->run->weights, count);
     }
-done:
-    return status;
+    return 0;
 }
 
 /* Makes the normals of a part. *fits: false if it has too many positions; then nothing was
@@ -178,11 +176,10 @@ static int join_part(struct open_worker *w, const struct open_part *part, bool *
 static int join_bucket(struct open_worker *w, uint32_t bucket)
 {
     struct open_part part = {.bucket = bucket};
-    int status = 0;
-    for (bool more = true; more && status == 0;) {
+    for (bool more = true; more;) {
         bool fits;
-        status = join_part(w, &part, &fits);
-        if (status == 0 && !fits && part.mask == UINT32_MAX)
+        BSQ_PASS(join_part(w, &part, &fits));
+        if (!fits && part.mask == UINT32_MAX)
             return bsq_fail(w->run->ctx, BSQ_ENOMEM, "too little memory for normals");
         if (!fits) {
             part.mask = 2 * part.mask + 1;
@@ -196,7 +193,7 @@ static int join_bucket(struct open_worker *w, uint32_t bucket)
         more = part.mask != 0;
         part.bits |= more ? part.mask / 2 + 1 : 0;
     }
-    return status;
+    return 0;
 }
 
 /* ---- all buckets ---- */

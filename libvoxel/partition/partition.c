@@ -250,20 +250,19 @@ static int partition_finish(void *arg, const struct fmt_mesh_batch *batch, unsig
 {
     struct reading *r = arg;
     const struct batch_slot *slot = &r->slots[number];
-    int status = 0;
     if (!r->faces || batch->face_count == 0)
         return 0;
-    status = vox_scan_note_faces(r->scan, &slot->check);
-    if (status < 0 || r->scan->bad_index.found)
-        return status;
+    BSQ_PASS(vox_scan_note_faces(r->scan, &slot->check));
+    if (r->scan->bad_index.found)
+        return 0;
     const struct triangulator *t = &slot->triangulator;
-    for (uint32_t i = 0; status == 0 && i < t->run_count; i++) {
-        status = bsq_spill_add(&r->out->buckets, t->runs[i].bucket, t->bytes + t->runs[i].offset,
-                               t->runs[i].bytes);
+    for (uint32_t i = 0; i < t->run_count; i++) {
+        BSQ_PASS(bsq_spill_add(&r->out->buckets, t->runs[i].bucket, t->bytes + t->runs[i].offset,
+                               t->runs[i].bytes));
         r->out->buckets.list[t->runs[i].bucket].items += t->runs[i].triangles;
     }
     r->out->triangles += t->triangles;
-    return status;
+    return 0;
 }
 
 /* ---- reading ---- */

@@ -161,20 +161,19 @@ static int add_faces(struct triangulator *t, const struct faces *faces)
     static const uint32_t triangle[3] = {0, 1, 2};
     const uint32_t corner_count = (uint32_t)faces->batch->corner_count;
     uint32_t corner = 0;
-    int status = 0;
     t->triangles = 0;
-    for (uint64_t f = 0; status == 0 && f < faces->batch->face_count; f++) {
+    for (uint64_t f = 0; f < faces->batch->face_count; f++) {
         const uint32_t size = faces->sizes[f];
         for (uint32_t k = corner + CORNERS_AHEAD;
              !t->pages && k < corner + CORNERS_AHEAD + size && k < corner_count; k++)
             __builtin_prefetch(corner_position(t, faces, k));
         if (size > 3)
-            status = add_polygon(t, faces, corner, size);
+            BSQ_PASS(add_polygon(t, faces, corner, size));
         else
             faces_add_triangle(t, corner, triangle);
         corner += size;
     }
-    return status;
+    return 0;
 }
 
 /* ---- runs ---- */
@@ -482,19 +481,18 @@ int vox_triangulate_batch(struct triangulator *t, const struct fmt_mesh_batch *b
         .has_materials = batch->material_change_count > 0 || batch->corner_texcoords};
     const uint64_t triangles = batch->corner_count - 2 * batch->face_count;
     bool plain;
-    int status = triangulate_plain(t, &faces, &plain);
-    if (status < 0 || plain)
-        return status;
-    BSQ_TRY(faces_reserve(t, &faces, triangles));
-    BSQ_TRY(reserve_polygon(t, max_size));
+    BSQ_PASS(triangulate_plain(t, &faces, &plain));
+    if (plain)
+        return 0;
+    BSQ_PASS(faces_reserve(t, &faces, triangles));
+    BSQ_PASS(reserve_polygon(t, max_size));
     t->triangles = triangles;
-    BSQ_TRY(faces.sizes ? add_faces(t, &faces) : 0);
+    BSQ_PASS(faces.sizes ? add_faces(t, &faces) : 0);
     find_buckets(t, &faces);
     faces_count_triangles(t);
     sort_by_bucket(t);
     if (faces.has_materials)
         faces_find_materials(t, &faces);
     code_sorted(t, &faces);
-done:
-    return status;
+    return 0;
 }

@@ -105,14 +105,14 @@ static int fill_buffer(struct run_reader *reader, uint32_t size)
         return 0;
     memmove(reader->buffer, reader->buffer + reader->begin, have);
     uint32_t more = left < capacity ? (uint32_t)left : capacity;
-    int status = bsq_spill_read(reader->buckets, reader->bucket, reader->offset, more,
-                                reader->buffer + have, &reader->cursor);
+    BSQ_PASS(bsq_spill_read(reader->buckets, reader->bucket, reader->offset, more,
+                            reader->buffer + have, &reader->cursor));
     reader->offset += more;
     reader->begin = 0;
     reader->end = have + more;
-    if (status == 0 && reader->end < size)
-        status = bsq_fail(reader->scan->ctx, BSQ_EBUG, "a bucket ends inside of a run");
-    return status;
+    return reader->end < size
+               ? bsq_fail(reader->scan->ctx, BSQ_EBUG, "a bucket ends inside of a run")
+               : 0;
 }
 
 /* ---- decoding ---- */

@@ -80,11 +80,11 @@ void vox_stream_prefault(struct attribute_stream *stream)
 
 int vox_stream_reserve(struct attribute_stream *stream, uint8_t **at, uint64_t *capacity)
 {
-    int status = bsq_spill_reserve(&stream->spill, 0, at, capacity);
-    if (status == 0 && !bsq_spill_in_file(&stream->spill))
+    BSQ_PASS(bsq_spill_reserve(&stream->spill, 0, at, capacity));
+    if (!bsq_spill_in_file(&stream->spill))
         note_head(stream, *at, *capacity);
     *capacity /= stream->element_bytes;
-    return status;
+    return 0;
 }
 
 int vox_stream_advance(struct attribute_stream *stream, uint64_t count)

@@ -148,12 +148,9 @@ static int enter_material(struct scan *scan, uint32_t material, struct scan_mate
     *out = &scan->without_material;
     if (material == FMT_MESH_NO_MATERIAL)
         return 0;
-    int status = 0;
     if (count > before)
-        status = BSQ_GROW(scan->ctx, "materials", count, &scan->material_uses,
-                          &scan->material_use_capacity);
-    if (status < 0)
-        return status;
+        BSQ_PASS(BSQ_GROW(scan->ctx, "materials", count, &scan->material_uses,
+                          &scan->material_use_capacity));
     for (uint64_t i = before; i < count; i++)
         scan->material_uses[i] = (struct scan_material_use){.file = UINT32_MAX};
     scan->material_use_count = count > before ? count : before;
@@ -203,15 +200,14 @@ static int note_file_faces(struct scan *scan, const struct scan_face_check *chec
     const uint64_t change_count = batch->material_change_count;
     uint32_t material = batch->material_at_start;
     uint64_t begin = 0, corner = 0;
-    int status = 0;
-    for (uint64_t i = 0; i <= change_count && status == 0; i++) {
+    for (uint64_t i = 0; i <= change_count; i++) {
         const uint64_t end = i < change_count ? changes[i].face : batch->face_count;
         const uint64_t bare = check->lacks_texcoord ? count_bare(batch, begin, end, &corner) : 0;
-        status = note_material(scan, material, batch->file, end - begin, bare);
+        BSQ_PASS(note_material(scan, material, batch->file, end - begin, bare));
         material = i < change_count ? changes[i].material : material;
         begin = end;
     }
-    return status;
+    return 0;
 }
 
 int vox_scan_note_faces(struct scan *scan, const struct scan_face_check *check)

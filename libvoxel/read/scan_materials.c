@@ -110,16 +110,14 @@ static bool any_gives(const struct scan *scan, const struct fmt_materials *found
 static int drop_optional(struct scan *scan, const struct fmt_materials *found)
 {
     uint32_t count = 0;
-    int status =
-        BSQ_CALLOC(scan->ctx, "channels", scan->channel_count + UINT64_C(1), &scan->found_optional);
-    for (uint32_t c = 0; c < scan->channel_count && status == 0; c++)
+    BSQ_PASS(BSQ_CALLOC(scan->ctx, "channels", scan->channel_count + UINT64_C(1),
+                        &scan->found_optional));
+    for (uint32_t c = 0; c < scan->channel_count; c++)
         if (!scan->channels[c].optional || any_gives(scan, found, c))
             scan->found_optional[count++] = scan->channels[c];
-    if (status == 0) {
-        scan->channels = scan->found_optional;
-        scan->channel_count = count;
-    }
-    return status;
+    scan->channels = scan->found_optional;
+    scan->channel_count = count;
+    return 0;
 }
 
 static bool is_kept(const struct scan *scan, const char *name)
@@ -185,8 +183,8 @@ static int add_sources(struct scan *scan, const struct fmt_material *from, bool 
     struct fmt_tris_material *material = &scan->materials[number];
     if (scan->channel_count == 0)
         return 0;
-    int status = BSQ_CALLOC(scan->ctx, "channels", scan->channel_count, &material->sources);
-    for (uint32_t c = 0; c < scan->channel_count && status == 0; c++) {
+    BSQ_PASS(BSQ_CALLOC(scan->ctx, "channels", scan->channel_count, &material->sources));
+    for (uint32_t c = 0; c < scan->channel_count; c++) {
         struct fmt_tris_source *source = &material->sources[c];
         const struct fmt_material_channel *own =
             fmt_material_find_channel(from, scan->channels[c].name);
@@ -196,7 +194,7 @@ static int add_sources(struct scan *scan, const struct fmt_material *from, bool 
         for (int k = 0; k < 3; k++)
             source->value[k] = own ? own->value[channel->values == 1 ? 0 : k] : channel->usual;
         if (path)
-            status = resolve_texture(scan, path, &source->texture_path);
+            BSQ_PASS(resolve_texture(scan, path, &source->texture_path));
         source->component = path ? channel->component : 0;
         if (path)
             source->value[0] = source->value[1] = source->value[2] = 1;
@@ -208,7 +206,7 @@ static int add_sources(struct scan *scan, const struct fmt_material *from, bool 
         if (source->component == FMT_CHANNEL_CUTOUT)
             source->value[0] = source->value[1] = source->value[2] = from->cutoff;
     }
-    return status;
+    return 0;
 }
 
 /* Adds an entry to the table of materials. path: of its texture, or NULL; color: whether `diffuse`
@@ -217,15 +215,12 @@ static int add_material(struct scan *scan, const char *path, const float diffuse
                         const char *name, uint32_t *number)
 {
     struct fmt_tris_material *material = &scan->materials[scan->material_count];
-    int status = 0;
     memcpy(material->diffuse, diffuse, sizeof material->diffuse);
     material->colorless = !color;
     *number = scan->material_count++; /* so that what was allocated is freed after a failure */
     if (path)
-        status = resolve_texture(scan, path, &material->texture_path);
-    if (status == 0)
-        status = bsq_text_copy(scan->ctx, name, &material->name);
-    return status;
+        BSQ_PASS(resolve_texture(scan, path, &material->texture_path));
+    return bsq_text_copy(scan->ctx, name, &material->name);
 }
 
 static int allocate_tables(struct scan *scan)

@@ -77,11 +77,10 @@ static int reserve(struct scan *scan, struct attribute_stream *stream, uint8_t *
                    uint64_t *capacity)
 {
     const uint64_t cost = stream_reserve_cost(stream);
-    int status = 0;
     if (cost > 0 && !bsq_spill_in_file(&stream->spill) &&
         vox_scan_stream_memory(scan) + cost > scan->limits->stream_bytes)
-        status = vox_stream_evict(stream);
-    return status < 0 ? status : vox_stream_reserve(stream, at, capacity);
+        BSQ_PASS(vox_stream_evict(stream));
+    return vox_stream_reserve(stream, at, capacity);
 }
 
 /* Makes elements [first, first + count) of a stream at `to` from those of a batch. The numbers
@@ -384,10 +383,7 @@ static int extend(struct bsq_ctx *ctx, struct scan_missing *missing, uint64_t co
     const uint64_t words = count / 64 + 1;
     if (words <= missing->words)
         return 0;
-    int status =
-        BSQ_GROW(ctx, "elements that are missing", words, &missing->bits, &missing->capacity);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_GROW(ctx, "elements that are missing", words, &missing->bits, &missing->capacity));
     memset(missing->bits + missing->words, 0, (words - missing->words) * sizeof *missing->bits);
     missing->words = words;
     return 0;
@@ -402,11 +398,11 @@ static void mark(struct scan_missing *missing, uint64_t index)
 static int note_missing(struct scan *scan, enum fmt_mesh_kind kind, const double *elements,
                         unsigned size, uint64_t count, uint64_t base)
 {
-    int status = extend(scan->ctx, &scan->missing[kind], base + count);
-    for (uint64_t i = 0; !status && i < count; i++)
+    BSQ_PASS(extend(scan->ctx, &scan->missing[kind], base + count));
+    for (uint64_t i = 0; i < count; i++)
         if (isnan(elements[i * size]))
             mark(&scan->missing[kind], base + i);
-    return status;
+    return 0;
 }
 
 static bool is_colored(const struct fmt_mesh_batch *batch, uint64_t vertex)
@@ -430,13 +426,13 @@ static int note_missing_colors(struct scan *scan, const struct fmt_mesh_batch *b
         vertex++;
     if (first == base && vertex == batch->vertex_count)
         return 0;
-    int status = extend(scan->ctx, &scan->missing_colors, end);
-    for (uint64_t i = first; status == 0 && i < base; i++)
+    BSQ_PASS(extend(scan->ctx, &scan->missing_colors, end));
+    for (uint64_t i = first; i < base; i++)
         mark(&scan->missing_colors, i);
-    for (; status == 0 && vertex < batch->vertex_count; vertex++)
+    for (; vertex < batch->vertex_count; vertex++)
         if (!is_colored(batch, vertex))
             mark(&scan->missing_colors, base + vertex);
-    return status;
+    return 0;
 }
 
 /* ---- batches ---- */

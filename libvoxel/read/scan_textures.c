@@ -206,8 +206,7 @@ static const char *loss_of(const struct fmt_material *material, const char *chan
 static int warn_losses(struct bsq_ctx *ctx, const struct fmt_materials *materials,
                        const struct scan_textures *textures)
 {
-    int status = 0;
-    for (uint32_t c = 0; c < textures->channel_count && !status; c++) {
+    for (uint32_t c = 0; c < textures->channel_count; c++) {
         const char *name = textures->channels[c].name;
         const struct fmt_material *first = NULL;
         uint64_t count = 0;
@@ -217,11 +216,11 @@ static int warn_losses(struct bsq_ctx *ctx, const struct fmt_materials *material
                 count++;
             }
         if (first)
-            status = bsq_warn_loss(ctx, "material \"%s\": %s: %s%s", first->name, name,
+            BSQ_PASS(bsq_warn_loss(ctx, "material \"%s\": %s: %s%s", first->name, name,
                                    loss_of(first, name),
-                                   count > 1 ? " (the same or similar for other materials)" : "");
+                                   count > 1 ? " (the same or similar for other materials)" : ""));
     }
-    return status;
+    return 0;
 }
 
 int vox_textures_preview(struct bsq_ctx *ctx, struct fmt_mesh_reader *reader,

@@ -115,14 +115,11 @@ int vox_estimate_check(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                        const char *grid_path)
 {
     double voxels;
-    int status = vox_estimate_voxels(ctx, file, transform, SAMPLES, &voxels);
-    if (status == 0 && voxels > huge_voxels / 4)
-        status = vox_estimate_voxels(ctx, file, transform, UINT64_MAX, &voxels);
-    if (status < 0)
-        return status;
+    BSQ_PASS(vox_estimate_voxels(ctx, file, transform, SAMPLES, &voxels));
+    if (voxels > huge_voxels / 4)
+        BSQ_PASS(vox_estimate_voxels(ctx, file, transform, UINT64_MAX, &voxels));
     double bytes = vox_estimate_bytes(voxels, channels);
-    if ((status = judge_huge(ctx, file, transform, voxels, bytes, grid_path)) < 0)
-        return status;
+    BSQ_PASS(judge_huge(ctx, file, transform, voxels, bytes, grid_path));
     /* Sections of the grid are in a temporary file until they are joined. */
     uint64_t least = (uint64_t)fmin(certainty * bytes, 0x1p62);
     return bsq_require_space(ctx, grid_path, least, least);

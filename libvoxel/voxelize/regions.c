@@ -122,9 +122,8 @@ static int fill_unit(struct vox_run *run, struct vox_unit *unit, uint64_t sequen
     unit->sequence = sequence;
     if (run->next_slab == run->slabs && (status = begin_region(run)) <= 0)
         return status;
-    if ((status = BSQ_GROW(run->ctx, "region's chunks", region->chunk_count, &unit->chunks,
-                           &unit->chunk_capacity)) < 0)
-        return status;
+    BSQ_PASS(BSQ_GROW(run->ctx, "region's chunks", region->chunk_count, &unit->chunks,
+                      &unit->chunk_capacity));
     memcpy(unit->origin, region->origin, sizeof unit->origin);
     memcpy(unit->chunks, region->chunks, region->chunk_count * sizeof *unit->chunks);
     unit->chunk_count = region->chunk_count;
@@ -209,9 +208,8 @@ static int add_chunks(struct vox_run *run, const struct vox_unit *unit,
         uint32_t number = unit->chunks[i];
         if (!vox_boxes_meet(&run->bounds[number], window))
             continue;
-        if ((status = bsq_check(run->ctx)) < 0 ||
-            (status = vox_chunks_acquire(run->chunks, number, &chunk_sums.chunk)) < 0)
-            break;
+        BSQ_PASS(bsq_check(run->ctx));
+        BSQ_PASS(vox_chunks_acquire(run->chunks, number, &chunk_sums.chunk));
         status = BSQ_SIMD_PICK(bsq_simd_best(), vox_accumulate_chunk)(&chunk_sums, counted);
         vox_chunks_release(run->chunks, number);
     }
@@ -277,11 +275,10 @@ static int work_window(struct vox_run *run, struct vox_unit *unit, const struct 
         status = work_window(run, unit, &half[0], worker);
         return status != 0 ? status : work_window(run, unit, &half[1], worker);
     }
-    if (status == 0)
-        status = keep_result(run, unit, worker->sums);
-    if (status == 0)
-        bsq_progress_add(run->ctx, counted);
-    return status;
+    BSQ_PASS(status);
+    BSQ_PASS(keep_result(run, unit, worker->sums));
+    bsq_progress_add(run->ctx, counted);
+    return 0;
 }
 
 static int regions_work(void *arg, void *slot, uint64_t sequence, unsigned worker)
@@ -308,12 +305,13 @@ int vox_run_regions(struct vox_run *run)
         .slot_count = run->unit_count,
     };
     bsq_progress_begin(run->ctx, "voxelizing", "triangles", run->header->triangle_count);
-    int status = bsq_pipeline_run(run->ctx, &pipeline);
+    const int status = bsq_pipeline_run(run->ctx, &pipeline);
     bsq_progress_end(run->ctx);
-    if (status == 0 && run->clamped_colors > 0)
-        status = bsq_warn_loss(run->ctx,
+    BSQ_PASS(status);
+    if (run->clamped_colors > 0)
+        BSQ_PASS(bsq_warn_loss(run->ctx,
                                "%s: %" PRIu64 " voxels have colours below 0 or above 1, which the "
                                "grid's 8 bits clamp; bake such colours from the chunk file (.tris)",
-                               run->options->tris_path, run->clamped_colors);
-    return status < 0 ? status : fmt_shading_tell_losses(&run->shading.scan);
+                               run->options->tris_path, run->clamped_colors));
+    return fmt_shading_tell_losses(&run->shading.scan);
 }

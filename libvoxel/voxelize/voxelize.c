@@ -101,16 +101,16 @@ static int list_channels(struct vox_run *run)
     uint64_t bytes = 1, at = 0;
     for (uint32_t c = 0; c < header->channel_count; c++)
         bytes += strlen(header->channels[c]) + 1;
-    int status = bsq_calloc(run->ctx, "channels", bytes, 1, &run->channels);
-    for (uint32_t c = 0; c < header->channel_count && status == 0; c++)
+    BSQ_PASS(bsq_calloc(run->ctx, "channels", bytes, 1, &run->channels));
+    for (uint32_t c = 0; c < header->channel_count; c++)
         if (strcmp(header->channels[c], FMT_CHANNEL_NORMAL_MAP) != 0)
             at += (uint64_t)sprintf(run->channels + at, "%s%s", at > 0 ? "," : "",
                                     header->channels[c]);
-    if (status == 0 && at == 0) {
+    if (at == 0) {
         bsq_free(run->ctx, run->channels);
         run->channels = NULL;
     }
-    return status;
+    return 0;
 }
 
 /* Sets the list of the grid's channels. */
@@ -359,9 +359,8 @@ static int create_grid(struct vox_run *run)
         info.scan_min[a] = transform->origin[a] + (double)run->header->bounds_min[a];
         info.scan_max[a] = transform->origin[a] + (double)run->header->bounds_max[a];
     }
-    int status = fmt_nvdb_create(run->ctx, run->options->grid_path, &info, &run->writer);
-    return status == 0 && info.ids != FMT_IDS_NONE && info.ids != FMT_IDS_COLOR ? name_ids(run)
-                                                                                : status;
+    BSQ_PASS(fmt_nvdb_create(run->ctx, run->options->grid_path, &info, &run->writer));
+    return info.ids != FMT_IDS_NONE && info.ids != FMT_IDS_COLOR ? name_ids(run) : 0;
 }
 
 static void fill_report(const struct vox_run *run, const struct fmt_nvdb_totals *totals,
@@ -387,12 +386,9 @@ static int export_vdb(struct bsq_ctx *ctx, const char *path, struct bsq_output *
 {
     struct bsq_file file;
     struct fmt_nvdb_grid grid;
-    int status = bsq_output_read(from, &file);
-    if (status == 0)
-        status = fmt_nvdb_open_file(ctx, &file, &grid);
-    if (status < 0)
-        return status;
-    status = fmt_vdb_export(ctx, &grid, path, out);
+    BSQ_PASS(bsq_output_read(from, &file));
+    BSQ_PASS(fmt_nvdb_open_file(ctx, &file, &grid));
+    const int status = fmt_vdb_export(ctx, &grid, path, out);
     fmt_nvdb_close(ctx, &grid);
     return status;
 }

@@ -39,10 +39,9 @@ struct vox_chunks {
 
 static int make_content(struct vox_chunks *c, struct slot *slot)
 {
-    int status = 0;
     if (!slot->content.memory)
-        status = bsq_alloc(c->ctx, "chunk cache", c->slot_bytes, 1, &slot->content.memory);
-    return status < 0 ? status : vox_chunk_make(&c->from, slot->chunk, &slot->content);
+        BSQ_PASS(bsq_alloc(c->ctx, "chunk cache", c->slot_bytes, 1, &slot->content.memory));
+    return vox_chunk_make(&c->from, slot->chunk, &slot->content);
 }
 
 /* ---- the cache ---- */

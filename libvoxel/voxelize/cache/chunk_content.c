@@ -296,18 +296,17 @@ static int take_made_normals(const struct vox_chunk_source *from, uint32_t numbe
                              double (*points)[4])
 {
     struct fmt_tris_normals made;
-    const int status =
-        fmt_tris_load_normals(from->file, number, content->memory + content->layout.made_at, &made);
-    const uint32_t vertices = status == 0 ? content->chunk.source.vertex_count : 0;
-    for (uint32_t v = 0; v < vertices; v++) {
+    BSQ_PASS(fmt_tris_load_normals(from->file, number, content->memory + content->layout.made_at,
+                                   &made));
+    for (uint32_t v = 0; v < content->chunk.source.vertex_count; v++) {
         bsq_vertex_normal_unpack(made.vertices[v], normals[v]);
         normals[v][3] = (float)((double)bsq_vertex_rise(made.vertices[v]) / from->transform->h);
     }
-    for (uint32_t i = 0; status == 0 && i < made.crease_count; i++)
+    for (uint32_t i = 0; i < made.crease_count; i++)
         points[made.creases[i].vertex][3] = (i + 1.0) * VOX_CREASE_UNIT;
-    if (status == 0 && made.crease_count > 0)
+    if (made.crease_count > 0)
         content->chunk.creases = made.creases;
-    return status;
+    return 0;
 }
 
 /* Places vertices in index space, and makes normals and what depends on them. */

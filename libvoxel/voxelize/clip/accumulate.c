@@ -81,14 +81,13 @@ bool vox_shade_corners(const struct vox_shading *shading, const struct fmt_tris_
 static int shade_channels(const struct fmt_shading *scan,
                           const struct fmt_shading_footprint *footprint, double *out)
 {
-    int status = 0;
-    for (uint32_t a = FMT_SHADING_CHANNELS; a < scan->attribute_count && status == 0; a++) {
+    for (uint32_t a = FMT_SHADING_CHANNELS; a < scan->attribute_count; a++) {
         float values[3] = {0};
-        status = fmt_shade_attribute(scan, a, footprint, values);
+        BSQ_PASS(fmt_shade_attribute(scan, a, footprint, values));
         for (uint32_t k = 0; k < scan->attributes[a].row->values; k++)
             *out++ = (double)values[k];
     }
-    return status;
+    return 0;
 }
 
 int vox_shade_textures(const struct fmt_shading *scan,

@@ -80,14 +80,14 @@ int vox_transform_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header
 {
     for (int a = 0; a < 3; a++)
         out->origin[a] = header->origin[a];
-    int status = resolution > 0 ? init_by_resolution(ctx, header, path, resolution, out)
-                                : init_by_size(ctx, header, path, voxel_size, out);
-    if (status == 0 && (out->h < FLT_MIN || 1.0 / out->h < FLT_MIN))
-        status =
-            bsq_fail(ctx, resolution > 0 ? BSQ_EDATA : BSQ_EUSAGE,
-                     "%s: voxels of %g are beyond the 32-bit numbers of a NanoVDB grid, %g to %g",
-                     path, out->h, (double)FLT_MIN, 1.0 / (double)FLT_MIN);
-    return status;
+    BSQ_PASS(resolution > 0 ? init_by_resolution(ctx, header, path, resolution, out)
+                            : init_by_size(ctx, header, path, voxel_size, out));
+    if (out->h < FLT_MIN || 1.0 / out->h < FLT_MIN)
+        return bsq_fail(
+            ctx, resolution > 0 ? BSQ_EDATA : BSQ_EUSAGE,
+            "%s: voxels of %g are beyond the 32-bit numbers of a NanoVDB grid, %g to %g", path,
+            out->h, (double)FLT_MIN, 1.0 / (double)FLT_MIN);
+    return 0;
 }
 
 struct vox_box vox_transform_box(const struct vox_transform *transform, const float min[3],

@@ -60,10 +60,9 @@ int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, unsigned sums,
                            struct vox_accumulator **out)
 {
     struct vox_accumulator *a;
+    int status;
     *out = NULL;
-    int status = BSQ_CALLOC(ctx, "voxel sums", 1, &a);
-    if (status < 0)
-        return status;
+    BSQ_PASS(BSQ_CALLOC(ctx, "voxel sums", 1, &a));
     a->ctx = ctx;
     a->channel_words = sums / VOX_SUM_CHANNEL_VALUE;
     set_capacities(a, bytes, sums);
