@@ -43,6 +43,13 @@ enum bake_position_in {
     BAKE_IN_BOX     /**< The ends of the scan's bounding box, on each axis. */
 };
 
+/** What the opacity of a GLB file's material means: how much shows of what lies behind it, or what
+ * is below one half is not there. */
+enum bake_alpha { BAKE_ALPHA_BLEND, BAKE_ALPHA_MASK };
+
+/** The sides of a GLB file's triangles that viewers draw. */
+enum bake_sides { BAKE_ONE_SIDE, BAKE_TWO_SIDES };
+
 /** The vertical axis of a preview. */
 enum bake_up {
     BAKE_UP_AUTO, /**< The one on whose lower end the low-poly mesh seems to stand. */
@@ -259,12 +266,14 @@ struct bake_options {
     /** Side of the tiles that OpenEXR files are made of, in texels, to BAKE_MAX_EXR_TILE;
      * 0: lines. */
     uint32_t exr_tile_side;
-    /** Output: the low-poly mesh with the maps normal, color, ao, and transfer maps roughness and
-     * metallic, as a glTF file (GLB), or NULL. */
+    /** Output: the low-poly mesh with the maps normal, color, ao, and the transfer maps roughness,
+     * metallic, occlusion (instead of ao), emission and opacity, as a glTF file (GLB), or NULL. */
     const char *glb_path;
-    const char *preview_path; /**< Output: a preview, PNG, or NULL. */
-    uint32_t preview_views;   /**< Views around the mesh, to BAKE_MAX_VIEWS. */
-    enum bake_up preview_up;  /**< Vertical axis of the preview. */
+    enum bake_alpha glb_alpha; /**< What opacity means in it. */
+    enum bake_sides glb_sides; /**< Which sides of its triangles are seen. */
+    const char *preview_path;  /**< Output: a preview, PNG, or NULL. */
+    uint32_t preview_views;    /**< Views around the mesh, to BAKE_MAX_VIEWS. */
+    enum bake_up preview_up;   /**< Vertical axis of the preview. */
     /** The first view of the preview, in degrees around the vertical axis, from the front on to its
      * right (seen from the mesh: to its left); below 0: the view that shows most. */
     double preview_from;

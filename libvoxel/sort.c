@@ -150,6 +150,7 @@ static void report_scan(const struct scan *scan, const struct vox_sort_options *
     report->has_normals = (scan->attributes & FMT_TRIS_NORMALS) != 0;
     report->has_texcoords = (scan->attributes & FMT_TRIS_TEXCOORDS) != 0;
     report->unused_texcoords = !report->has_texcoords && scan_count(scan, SCAN_TEXCOORDS) > 0;
+    report->double_sided = scan->double_sided;
     report->uses_textures = vox_scan_find_texture(scan, false) != NULL;
     if (outer)
         sort_add_name(report->outer_texture, outer);

@@ -111,6 +111,7 @@ struct vox_sort_report {
     bool has_fine_colors;     /**< Some of them need more than 8 bits. */
     bool has_material_colors; /**< Some material has a colour, without a texture. */
     bool unused_texcoords;    /**< It has texture coordinates, but nothing that needs them. */
+    bool double_sided;        /**< Some faces have a material that is seen from behind too. */
     bool uses_textures;       /**< The chunk file needs textures. */
     /** One that is not in the chunk file, and must stay where it is; "": none. It may be cut off.
      */

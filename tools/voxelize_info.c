@@ -242,6 +242,33 @@ static json_t *textures_json(const struct fmt_tris_header *h)
     return list;
 }
 
+/* Returns what opacity means on the materials of a chunk file: "blend", "mask" if it is 0 or 1
+ * everywhere, or NULL if all are opaque. */
+static const char *alpha_text(const struct fmt_tris_header *h)
+{
+    bool masks = false, blends = false;
+    for (uint64_t i = 0; i < (uint64_t)h->material_count * h->channel_count; i++) {
+        const struct fmt_tris_source *s =
+            &h->materials[i / h->channel_count].sources[i % h->channel_count];
+        if (strcmp(h->channels[i % h->channel_count], "opacity") != 0)
+            continue;
+        const bool mask = s->texture_path ? s->component == FMT_CHANNEL_CUTOUT : s->value[0] <= 0;
+        masks |= mask;
+        blends |= !mask && (s->texture_path || s->value[0] < 1);
+    }
+    return blends ? "blend" : masks ? "mask" : NULL;
+}
+
+/* Returns whether a material of a chunk file gives light. */
+static bool emits(const struct fmt_tris_header *h)
+{
+    bool any = false;
+    for (uint64_t i = 0; i < (uint64_t)h->material_count * h->channel_count; i++)
+        for (int k = 0; k < 3 && strcmp(h->channels[i % h->channel_count], "emission") == 0; k++)
+            any |= h->materials[i / h->channel_count].sources[i % h->channel_count].value[k] > 0;
+    return any;
+}
+
 static int describe_tris(struct bsq_ctx *ctx, const char *path, json_t **out)
 {
     struct fmt_tris_file *file;
@@ -256,7 +283,7 @@ static int describe_tris(struct bsq_ctx *ctx, const char *path, json_t **out)
     for (uint32_t c = 0; c < h->channel_count; c++)
         add_once(&channels, h->channels[c]);
     *out = json_pack(
-        "{s:s, s:I, s:o, s:I, s:I, s:I, s:b, s:s?, s:b, s:b, s:b, s:b, s:s?, s:I, s:o, s:o}",
+        "{s:s, s:I, s:o, s:I, s:I, s:I, s:b, s:s?, s:b, s:b, s:b, s:b, s:s?, s:I, s:o, s:s?, s:b, s:o}",
         "format", "chunk file", "version", (json_int_t)FMT_TRIS_VERSION, "box", box_json(min, max),
         "triangles", (json_int_t)h->triangle_count, "chunks", (json_int_t)h->chunk_count,
         "source_faces", (json_int_t)h->source_faces, "normals",
@@ -266,7 +293,8 @@ static int describe_tris(struct bsq_ctx *ctx, const char *path, json_t **out)
         (int)!!(h->attributes & FMT_TRIS_COLORS), "fine_colors",
         (int)!!(h->attributes & FMT_TRIS_FINE_COLORS), "color", (int)fmt_tris_has_color(h), "ids",
         h->ids == FMT_IDS_NONE ? NULL : fmt_ids_text(h->ids), "materials",
-        (json_int_t)h->material_count, "channels", channels, "textures", textures_json(h));
+        (json_int_t)h->material_count, "channels", channels, "alpha", alpha_text(h), "emits",
+        (int)emits(h), "textures", textures_json(h));
     fmt_tris_close(file);
     return 0;
 }

@@ -15,11 +15,13 @@
 enum { FLOAT = 5126, UINT32 = 5125, ARRAY_BUFFER = 34962, ELEMENT_BUFFER = 34963 };
 enum { LINEAR = 9729, LINEAR_MIPMAP_LINEAR = 9987, CLAMP_TO_EDGE = 33071 };
 enum { COPY_BYTES = 1 << 20 };
+#define STRENGTH "KHR_materials_emissive_strength"
 
 /* The arrays of the document while they grow. */
 struct document {
     json_t *views, *accessors, *primitives, *materials, *textures, *images;
     uint64_t bytes; /* of the binary chunk so far */
+    bool strong;    /* some material has KHR_materials_emissive_strength */
 };
 
 /* Adds a view of `bytes` bytes, which begins at a multiple of 4. Returns its number. */
@@ -110,8 +112,25 @@ static json_t *glb_add_texture(struct document *d, const struct bsq_file *image)
     return json_pack("{s:i}", "index", number);
 }
 
+/* Adds what a material emits. A factor has at most 1; the extension multiplies it. */
+static void glb_add_emission(struct document *d, const struct fmt_glb_material *from,
+                             json_t *material)
+{
+    const double factor = (double)from->emission_factor, one = fmin(factor, 1);
+    json_t *emission = glb_add_texture(d, from->textures[FMT_GLB_EMISSION]);
+    if (!emission)
+        return;
+    json_object_set_new(material, "emissiveTexture", emission);
+    json_object_set_new(material, "emissiveFactor", json_pack("[f, f, f]", one, one, one));
+    d->strong |= factor > 1;
+    if (factor > 1)
+        json_object_set_new(material, "extensions",
+                            json_pack("{s:{s:f}}", STRENGTH, "emissiveStrength", factor));
+}
+
 static void glb_add_material(struct document *d, const struct fmt_glb_material *from)
 {
+    static const char *const modes[] = {[FMT_GLB_MASK] = "MASK", [FMT_GLB_BLEND] = "BLEND"};
     json_t *base = glb_add_texture(d, from->textures[FMT_GLB_BASE_COLOR]);
     json_t *normal = glb_add_texture(d, from->textures[FMT_GLB_NORMAL]);
     json_t *orm = glb_add_texture(d, from->textures[FMT_GLB_ORM]);
@@ -129,6 +148,11 @@ static void glb_add_material(struct document *d, const struct fmt_glb_material *
     if (normal)
         json_object_set_new(material, "normalTexture", normal);
     json_decref(orm);
+    glb_add_emission(d, from, material);
+    if (from->alpha != FMT_GLB_OPAQUE)
+        json_object_set_new(material, "alphaMode", json_string(modes[from->alpha]));
+    if (from->double_sided)
+        json_object_set_new(material, "doubleSided", json_true());
     json_array_append_new(d->materials, material);
 }
 
@@ -144,7 +168,8 @@ static void put_array(json_t *root, const char *key, json_t *array)
 static char *make_json(const struct fmt_glb *glb, uint64_t *binary_bytes)
 {
     struct document d = {
-        json_array(), json_array(), json_array(), json_array(), json_array(), json_array(), 0};
+        json_array(), json_array(), json_array(), json_array(), json_array(), json_array(), 0,
+        false};
     const double *t = glb->translation;
     for (uint32_t i = 0; i < glb->primitive_count; i++)
         glb_add_primitive(&d, &glb->primitives[i], (int)i);
@@ -156,6 +181,8 @@ static char *make_json(const struct fmt_glb *glb, uint64_t *binary_bytes)
         "asset", "version", "2.0", "generator", "Bisque " BSQ_VERSION, "scene", 0, "scenes",
         "nodes", 0, "nodes", "name", glb->name, "mesh", 0, "translation", t[0], t[1], t[2],
         "meshes", "primitives", d.primitives, "buffers", "byteLength", (json_int_t)d.bytes);
+    if (d.strong)
+        json_object_set_new(root, "extensionsUsed", json_pack("[s]", STRENGTH));
     put_array(root, "bufferViews", d.views);
     put_array(root, "accessors", d.accessors);
     put_array(root, "materials", d.materials);

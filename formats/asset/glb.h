@@ -15,16 +15,23 @@ struct fmt_glb_vertex {
 _Static_assert(sizeof(struct fmt_glb_vertex) == 48, "a vertex has no padding");
 
 enum fmt_glb_texture {
-    FMT_GLB_BASE_COLOR, /* sRGB */
+    FMT_GLB_BASE_COLOR, /* sRGB; with alpha unless the material is opaque */
     FMT_GLB_NORMAL,     /* tangent space; green points up */
     FMT_GLB_ORM,        /* occlusion in red, roughness in green, metallic in blue */
+    FMT_GLB_EMISSION,   /* sRGB */
     FMT_GLB_TEXTURES
 };
+
+/* What alpha means: nothing; it hides what is below one half; it blends with what lies behind. */
+enum fmt_glb_alpha { FMT_GLB_OPAQUE, FMT_GLB_MASK, FMT_GLB_BLEND };
 
 struct fmt_glb_material {
     const char *name;                                  /* UTF-8 */
     const struct bsq_file *textures[FMT_GLB_TEXTURES]; /* PNG files, or NULL */
     bool occlusion, roughness, metallic; /* which components of the ORM texture count */
+    enum fmt_glb_alpha alpha;
+    bool double_sided;     /* its back is drawn too */
+    float emission_factor; /* of the texture, with its values from 0 to 1; above 0 */
 };
 
 /* Triangles with one material: number i has material i. */

@@ -34,6 +34,7 @@ struct fmt_material {
     bool opaque;                       /* the alpha of its texture has no meaning */
     bool cutout; /* it hides what is below the cutoff, and shows the rest whole */
     float cutoff;
+    bool double_sided; /* its faces are seen from behind too */
     struct fmt_material_channel *channels;
     uint32_t channel_count;
     char *object; /* that the faces belong to, see fmt_mesh_use_objects(); or NULL */

@@ -362,6 +362,7 @@ int fmt_gltf_read_material(const struct gltf_item *item, struct gltf_source *sou
     struct fmt_material *m = &out->described;
     double alpha;
     m->color.channel = &fmt_color_channel;
+    m->double_sided = json_is_true(json_object_get(item->object, "doubleSided"));
     BSQ_PASS(read_name(item, &m->name));
     BSQ_PASS(read_color(item, from, pbr ? "baseColorFactor" : "diffuseFactor", out, &alpha));
     BSQ_PASS(read_texture(item, source, base, &m->color));

@@ -14,7 +14,7 @@
 enum { CHUNK_ROWS = 256 }; /* that are converted at once */
 
 /* Maps by their use. */
-enum use { COLOR, NORMAL, OCCLUSION, ROUGHNESS, METALLIC, USES };
+enum use { COLOR, NORMAL, OCCLUSION, ROUGHNESS, METALLIC, EMISSION, OPACITY, USES };
 enum { NO_MAP = UINT32_MAX };
 _Static_assert((int)BAKE_ASSET_IMAGES == (int)FMT_GLB_TEXTURES, "images are textures");
 
@@ -22,6 +22,9 @@ _Static_assert((int)BAKE_ASSET_IMAGES == (int)FMT_GLB_TEXTURES, "images are text
 struct tile_images {
     uint32_t map_of[USES]; /* numbers of maps, or NO_MAP */
     bool green_down;
+    enum fmt_glb_alpha alpha;
+    bool double_sided;
+    float brightest;                                    /* value of emission, at least 1 */
     uint32_t width, row;                                /* row: the first one that has not come */
     struct fmt_image_writer *writers[FMT_GLB_TEXTURES]; /* while rows come */
     struct bsq_file files[FMT_GLB_TEXTURES];            /* complete */
@@ -63,15 +66,86 @@ done:
 
 /* ---- images ---- */
 
-/* Returns the number of a transfer map of one value with this name; NO_MAP: there is none. */
+/* Returns the number of a map; NO_MAP if it is not baked. */
+static uint32_t asset_find_map(const struct bake_options *options, uint32_t maps, uint32_t number)
+{
+    return bake_has_file(options, maps, number) ? number : (uint32_t)NO_MAP;
+}
+
+/* Returns the number of a transfer map with this name; NO_MAP if it is not baked. */
 static uint32_t asset_find_transfer(const struct bake_options *options, uint32_t maps,
                                     const char *name)
 {
     for (uint32_t i = BK_MAP_COUNT; i < bake_selection_end(maps); i++)
-        if (bake_has_file(options, maps, i) && strcmp(bake_name_of(options, i), name) == 0 &&
-            bake_row_of(options, i)->channels == 1)
+        if (bake_has_file(options, maps, i) && strcmp(bake_name_of(options, i), name) == 0)
             return i;
     return NO_MAP;
+}
+
+static void asset_find_maps(const struct bake_options *options, uint32_t maps, uint32_t out[USES])
+{
+    static const char *const names[USES] = {[OCCLUSION] = "occlusion",
+                                            [ROUGHNESS] = "roughness",
+                                            [METALLIC] = "metallic",
+                                            [EMISSION] = "emission",
+                                            [OPACITY] = "opacity"};
+    out[COLOR] = asset_find_map(options, maps, BK_MAP_color);
+    out[NORMAL] = asset_find_map(options, maps, BK_MAP_normal);
+    for (int use = OCCLUSION; use < USES; use++)
+        out[use] = asset_find_transfer(options, maps, names[use]);
+    if (out[OCCLUSION] == NO_MAP)
+        out[OCCLUSION] = asset_find_map(options, maps, BK_MAP_ao);
+}
+
+/* Values of a tile that its material depends on. */
+struct extremes {
+    const struct bake_image *image;
+    uint32_t emission, opacity; /* offsets in a texel; NO_MAP: none */
+    float brightest, clearest;
+};
+
+/* Takes a band of rows of the image. */
+static int find_extremes(void *arg, uint32_t first_row, uint32_t rows, float *texels)
+{
+    struct extremes *found = arg;
+    const uint32_t step = found->image->channels;
+    const float *end = texels + (uint64_t)rows * found->image->width * step;
+    (void)first_row;
+    for (const float *texel = texels; texel < end; texel += step) {
+        if (!(texel[0] > BAKE_OUTSIDE))
+            continue;
+        for (int k = 0; found->emission != NO_MAP && k < 3; k++)
+            found->brightest = fmaxf(found->brightest, texel[found->emission + (uint32_t)k]);
+        if (found->opacity != NO_MAP)
+            found->clearest = fminf(found->clearest, texel[found->opacity]);
+    }
+    return 0;
+}
+
+/* Chooses the alpha and the emission of a tile's material. Forgets maps that say nothing: no light,
+ * and opacity that 8 bits do not tell from 1. */
+static int asset_judge_tile(struct bake_asset *asset, struct bake_image *image,
+                            const struct bake_options *options, uint32_t maps,
+                            struct tile_images *tile)
+{
+    uint32_t *map_of = tile->map_of;
+    struct extremes found = {.image = image, .emission = NO_MAP, .opacity = NO_MAP, .clearest = 1};
+    if (map_of[EMISSION] != NO_MAP)
+        found.emission = bake_map_offset(maps, map_of[EMISSION]);
+    if (map_of[OPACITY] != NO_MAP)
+        found.opacity = bake_map_offset(maps, map_of[OPACITY]);
+    if (found.emission != NO_MAP || found.opacity != NO_MAP)
+        BSQ_PASS(bake_image_bands(asset->ctx, image, CHUNK_ROWS, false, find_extremes, &found));
+    if (!(found.brightest > 0))
+        map_of[EMISSION] = NO_MAP;
+    if (!(found.clearest < 1 - 0.5f / 255))
+        map_of[OPACITY] = NO_MAP;
+    tile->brightest = fmaxf(found.brightest, 1);
+    tile->double_sided = options->glb_sides == BAKE_TWO_SIDES;
+    tile->alpha = map_of[OPACITY] == NO_MAP               ? FMT_GLB_OPAQUE
+                  : options->glb_alpha == BAKE_ALPHA_MASK ? FMT_GLB_MASK
+                                                          : FMT_GLB_BLEND;
+    return 0;
 }
 
 /* Moves normals up and down by a quarter of a level of 8 bits, as on a checkerboard, before they
@@ -89,22 +163,31 @@ static void asset_dither_normals(float *rows, const struct tile_images *tile, ui
     }
 }
 
+static uint32_t asset_channels(const struct tile_images *tile, enum fmt_glb_texture texture)
+{
+    return texture == FMT_GLB_BASE_COLOR && tile->map_of[OPACITY] != NO_MAP ? 4 : 3;
+}
+
 /* Converts rows of the current tile for an image. `first` counts them in the band. */
 static void asset_convert(const struct bake_asset *asset, const struct bake_map_files *files,
                           enum fmt_glb_texture texture, uint32_t first, uint32_t rows)
 {
+    static const enum use uses[FMT_GLB_TEXTURES] = {[FMT_GLB_BASE_COLOR] = COLOR,
+                                                    [FMT_GLB_NORMAL] = NORMAL,
+                                                    [FMT_GLB_ORM] = OCCLUSION,
+                                                    [FMT_GLB_EMISSION] = EMISSION};
     const struct tile_images *tile = &asset->tiles[asset->current];
     const uint64_t texels = (uint64_t)rows * tile->width, begin = (uint64_t)first * tile->width;
-    for (int k = 0; texture == FMT_GLB_ORM && k < 3; k++) {
-        const float *from = bake_map_rows(files, tile->map_of[OCCLUSION + k]);
+    const uint32_t channels = asset_channels(tile, texture);
+    const float scale = texture == FMT_GLB_EMISSION ? 1 / tile->brightest : 1;
+    for (uint32_t k = 0; k < channels; k++) {
+        const bool single = texture == FMT_GLB_ORM || k == 3;
+        const uint32_t use = k == 3 ? OPACITY : uses[texture] + (single ? k : 0);
+        const float *from = bake_map_rows(files, tile->map_of[use]);
         for (uint64_t i = 0; i < texels; i++)
-            asset->rows[3 * i + (uint64_t)k] = from ? from[begin + i] : 1.0f;
+            asset->rows[channels * i + k] =
+                from ? scale * from[single ? begin + i : 3 * (begin + i) + k] : 1.0f;
     }
-    if (texture == FMT_GLB_ORM)
-        return;
-    const float *from =
-        bake_map_rows(files, tile->map_of[texture == FMT_GLB_NORMAL ? NORMAL : COLOR]);
-    memcpy(asset->rows, from + 3 * begin, 3 * texels * sizeof *from);
     for (uint64_t i = 0; texture == FMT_GLB_NORMAL && tile->green_down && i < texels; i++)
         asset->rows[3 * i + 1] = 1.0f - asset->rows[3 * i + 1];
     if (texture == FMT_GLB_NORMAL)
@@ -131,38 +214,33 @@ static int take_rows(void *arg, const struct bake_map_files *files, uint32_t row
 
 int bake_asset_begin_tile(struct bake_asset *asset, uint32_t number,
                           const struct bake_options *options, uint32_t maps,
-                          struct bake_map_files *files)
+                          struct bake_image *image, struct bake_map_files *files)
 {
     struct tile_images *tile = &asset->tiles[number];
-    struct fmt_image_options image = {.width = options->width,
-                                      .height = options->height,
-                                      .channel_count = 3,
-                                      .type = FMT_UINT8,
-                                      .temporary = true};
-    const uint32_t found[USES] = {
-        [COLOR] = bake_has_file(options, maps, BK_MAP_color) ? BK_MAP_color : (uint32_t)NO_MAP,
-        [NORMAL] = bake_has_file(options, maps, BK_MAP_normal) ? BK_MAP_normal : (uint32_t)NO_MAP,
-        [OCCLUSION] = bake_has_file(options, maps, BK_MAP_ao) ? BK_MAP_ao : (uint32_t)NO_MAP,
-        [ROUGHNESS] = asset_find_transfer(options, maps, "roughness"),
-        [METALLIC] = asset_find_transfer(options, maps, "metallic")};
-    const bool wanted[FMT_GLB_TEXTURES] = {[FMT_GLB_BASE_COLOR] = found[COLOR] != NO_MAP,
-                                           [FMT_GLB_NORMAL] = found[NORMAL] != NO_MAP,
-                                           [FMT_GLB_ORM] = found[OCCLUSION] != NO_MAP ||
-                                                           found[ROUGHNESS] != NO_MAP ||
-                                                           found[METALLIC] != NO_MAP};
+    const uint32_t *map_of = tile->map_of;
+    struct fmt_image_options png = {
+        .width = options->width, .height = options->height, .type = FMT_UINT8, .temporary = true};
     asset->current = number;
-    memcpy(tile->map_of, found, sizeof found);
+    asset_find_maps(options, maps, tile->map_of);
+    BSQ_PASS(asset_judge_tile(asset, image, options, maps, tile));
+    const bool wanted[FMT_GLB_TEXTURES] = {
+        [FMT_GLB_BASE_COLOR] = map_of[COLOR] != NO_MAP || map_of[OPACITY] != NO_MAP,
+        [FMT_GLB_NORMAL] = map_of[NORMAL] != NO_MAP,
+        [FMT_GLB_ORM] = map_of[OCCLUSION] != NO_MAP || map_of[ROUGHNESS] != NO_MAP ||
+                        map_of[METALLIC] != NO_MAP,
+        [FMT_GLB_EMISSION] = map_of[EMISSION] != NO_MAP};
     tile->green_down = options->green_down;
     tile->width = options->width;
     bsq_free(asset->ctx, asset->rows);
     asset->rows = NULL;
     BSQ_PASS(bsq_alloc(asset->ctx, "rows of a GLB file", (uint64_t)CHUNK_ROWS * options->width,
-                       3 * sizeof *asset->rows, &asset->rows));
+                       4 * sizeof *asset->rows, &asset->rows));
     for (int k = 0; k < FMT_GLB_TEXTURES; k++) {
-        image.color = k == FMT_GLB_BASE_COLOR;
-        image.rounded = k == FMT_GLB_NORMAL;
+        png.channel_count = asset_channels(tile, (enum fmt_glb_texture)k);
+        png.color = k == FMT_GLB_BASE_COLOR || k == FMT_GLB_EMISSION;
+        png.rounded = k == FMT_GLB_NORMAL;
         if (wanted[k])
-            BSQ_PASS(fmt_image_create(asset->ctx, &fmt_png_format, asset->path, &image,
+            BSQ_PASS(fmt_image_create(asset->ctx, &fmt_png_format, asset->path, &png,
                                       &tile->writers[k]));
     }
     bake_map_files_watch(files, take_rows, asset);
@@ -352,7 +430,10 @@ static void set_material(struct tile_images *tile, const struct bake_lowmesh *me
     *out = (struct fmt_glb_material){.name = tile->name,
                                      .occlusion = tile->map_of[OCCLUSION] != NO_MAP,
                                      .roughness = tile->map_of[ROUGHNESS] != NO_MAP,
-                                     .metallic = tile->map_of[METALLIC] != NO_MAP};
+                                     .metallic = tile->map_of[METALLIC] != NO_MAP,
+                                     .alpha = tile->alpha,
+                                     .double_sided = tile->double_sided,
+                                     .emission_factor = tile->brightest};
     for (int k = 0; k < FMT_GLB_TEXTURES; k++)
         out->textures[k] = tile->files[k].fd >= 0 ? &tile->files[k] : NULL;
 }

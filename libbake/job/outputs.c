@@ -236,7 +236,8 @@ static int write_tile(struct bake_job *job, struct bake_tile *tile, uint32_t sid
     if (job->options->page)
         BSQ_TRY(show_misses(job, tile, number));
     if (job->asset)
-        BSQ_TRY(bake_asset_begin_tile(job->asset, number, &tile->options, tile->maps, tile->files));
+        BSQ_TRY(bake_asset_begin_tile(job->asset, number, &tile->options, tile->maps, tile->image,
+                                      tile->files));
     BSQ_TRY(bake_map_files_write(tile->files, tile->image, &job->measures, limited, job->report));
     if (job->asset)
         status = bake_asset_end_tile(job->asset, number);

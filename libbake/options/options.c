@@ -19,7 +19,9 @@ enum {
     GPU = PADDED_MAP << 3,
     GRID = PADDED_MAP << 4,
     GRID_TO_SAMPLE = PADDED_MAP << 5,
-    BARE_TRIANGLES = PADDED_MAP << 6
+    BARE_TRIANGLES = PADDED_MAP << 6,
+    ASSET = PADDED_MAP << 7,
+    LAST_NEED = ASSET
 };
 
 /* Returns whether a map has padding; the mask has none. */
@@ -42,6 +44,8 @@ static const char *lacks(uint32_t need, const struct bake_options *options,
         return options->normal_space == BAKE_TANGENT_SPACE ? NULL : "--normal space=tangent";
     case PREVIEW:
         return options->preview_path || options->page_path ? NULL : "--preview or --report";
+    case ASSET:
+        return options->glb_path ? NULL : "--glb";
     case GPU:
         return !options->device || strcmp(options->device, "cpu") != 0 ? NULL
                                                                        : "a device other than cpu";
@@ -217,9 +221,13 @@ static const struct bsq_option table[] = {
      MEMBER(INPUT, scan_normal_map)},
 
     {BSQ_ROW("glb", "FILE.glb",
-             "the low-poly mesh with its maps normal, color, ao, transfer:roughness\n"
-             "and transfer:metallic, as a glTF file"),
+             "the low-poly mesh as a glTF file with its maps normal, color, ao and\n"
+             "transfer:roughness, metallic, occlusion, emission and opacity"),
      .heading = "Asset and preview", MEMBER(OUTPUT, glb_path)},
+    {KEY("material", "alpha", "MODE", "what opacity means in this file: blend, or mask for holes"),
+     CHOICE(glb_alpha, "blend mask"), FINISHES, .needs = ASSET},
+    {KEY("material", "sides", "N", "sides of its triangles that viewers draw: one or two"),
+     CHOICE(glb_sides, "one two"), FINISHES, .needs = ASSET},
     {BSQ_ROW("preview", "FILE.png", "a picture of the low-poly mesh, the baked mesh and the scan"),
      MEMBER(OUTPUT, preview_path)},
     {BSQ_ROW("report", "FILE.html",
@@ -304,7 +312,7 @@ void bake_warn_of_options(struct bsq_ctx *ctx, const struct bake_options *option
             continue;
         if (maps && !(maps & options->maps))
             warn_of_maps(ctx, row, maps);
-        for (uint32_t need = PADDED_MAP; need <= BARE_TRIANGLES; need <<= 1)
+        for (uint32_t need = PADDED_MAP; need <= LAST_NEED; need <<= 1)
             if (row->needs & need && lacks(need, options, scans))
                 options_warn(ctx, row, lacks(need, options, scans));
     }

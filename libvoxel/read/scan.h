@@ -147,6 +147,7 @@ struct scan {
     enum fmt_ids ids;
     uint32_t material_count;
     struct fmt_tris_material *materials;
+    bool double_sided;    /* some faces have a material that is seen from behind too */
     bool lost_colors;     /* all textures of colour are missing, and there are no other colours */
     bool *found_channels; /* of each channel: some material has it */
     uint32_t

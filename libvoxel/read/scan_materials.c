@@ -399,6 +399,8 @@ static int use_materials(struct scan *scan, struct fmt_mesh_reader *reader, cons
     BSQ_TRY(drop_optional(scan, &found));
     BSQ_TRY(warn_of_unkept(scan, &found));
     scan->lost_colors = !image && colors_are_lost(scan, &found);
+    for (uint32_t i = 0; i < found.count; i++)
+        scan->double_sided |= is_used(scan, i) && found.list[i].double_sided;
     BSQ_TRY(allocate_tables(scan));
     BSQ_TRY(add_all(scan, &found, image));
     status = warn_of_bare_faces(scan, &found, image);

@@ -17,8 +17,8 @@ is()
 
 $glb make || exit 1
 printf 'mtllib waves.mtl\nusemtl wave\n' | cat - waves.obj >scan.obj
-printf 'newmtl wave\nPr 0.25\nPm 0.75\n' >waves.mtl
-ok run bisque-voxelize scan.obj --channels roughness,metallic --resolution 200 -o scan.nvdb
+printf 'newmtl wave\nPr 0.25\nPm 0.75\nKe 0.5 2 4\nd 0.25\n' >waves.mtl
+ok run bisque-voxelize scan.obj --channels all --resolution 200 -o scan.nvdb
 bake="run bisque-bake scan.tris low.obj --size 128 --ray-directions face"
 all="--maps normal,color,ao,transfer:roughness,transfer:metallic --rays ao=4"
 
@@ -48,6 +48,30 @@ data = open("color.glb", "rb").read()
 root = json.loads(data[20:20 + struct.unpack_from("<I", data, 12)[0]])
 assert len(root["images"]) == 1 and "normalTexture" not in root["materials"][0]
 assert root["materials"][0]["pbrMetallicRoughness"]["metallicFactor"] == 0'
+
+# Light above 1 has a factor; opacity is the alpha of the colour, or of white.
+materials='
+import glb, sys
+document, binary = glb.read(sys.argv[1])
+material, = document["materials"]
+print(*(material.get(key) for key in ("alphaMode", "doubleSided", "emissiveFactor", "extensions")))
+for texture in (material["pbrMetallicRoughness"].get("baseColorTexture"), material.get("emissiveTexture")):
+    row = glb.image(document, binary, texture["index"])[3][64][16:112] if texture else []
+    print(*[round(sum(values) / len(row)) for values in zip(*row)] or ["none"])'  # 8 bits are dithered
+ok $bake --maps transfer:opacity,transfer:emission -o 'e_<MAP>.exr' --glb e.glb --material sides=two
+holds "alpha and light" [ "$(python3 -c "$materials" e.glb)" = "BLEND True [1.0, 1.0, 1.0] {'KHR_materials_emissive_strength': {'emissiveStrength': 4.0}}
+255 255 255 64
+99 188 255" ]
+ok $bake --maps color,transfer:opacity -o 'e_<MAP>.exr' --glb e.glb --material alpha=mask
+holds "a mask of one side" [ "$(python3 -c "$materials" e.glb | sed '2s/.* //')" = "MASK None None None
+64
+none" ]
+sed 's/^Ke.*/Ke 0 0 0/; s/^d .*/d 1/' waves.mtl >dark.mtl && sed 's/waves.mtl/dark.mtl/' scan.obj >dark.obj
+ok run bisque-voxelize dark.obj --channels opacity,emission -o dark.tris
+ok run bisque-bake dark.tris low.obj --size 128 --maps color,transfer:opacity,transfer:emission -o 'e_<MAP>.exr' --glb e.glb
+holds "no light, and no alpha" [ "$(python3 -c "$materials" e.glb | sed '2s/ //g; 2s/[0-9]*/colour/')" = "None None None None
+colour
+none" ]
 
 # The file is a low-poly mesh, and a scan, for Bisque itself.
 ok run bisque-voxelize a.glb --channels all --resolution 64 -o again.nvdb

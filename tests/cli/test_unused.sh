@@ -51,6 +51,8 @@ unused "--preview or --report" --view count=1 -- --preview preview.png -o '<MAP>
 unused "--preview or --report" --view up=z -- --preview preview.png -o '<MAP>.png'
 unused "--preview or --report" --view from=90 -- --preview preview.png -o '<MAP>.png'
 unused "--preview or --report" --view above=30 -- --preview preview.png -o '<MAP>.png'
+unused "--glb" --material alpha=mask -- --glb m.glb -o '<MAP>.png'
+unused "--glb" --material sides=two -- --glb m.glb -o '<MAP>.png'
 unused "a device other than cpu" --gpu-memory 1G -- --device auto -o '<MAP>.png'
 
 # nothing NEEDS OPTION SCAN ARGUMENT...: the option has no effect on maps of the scan.
