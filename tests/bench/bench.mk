@@ -77,3 +77,8 @@ gpu-bundle: $(bins) $(generator) $(helpers)
 	ldd $(gpu_bundle)/bin/* | awk '$$2 == "=>" && $$3 ~ /^\// { print $$3 }' | sort -u | \
 	    grep -Ev '/(libc|libm|libdl|libpthread|librt|libgcc_s|libstdc[+][+])[.]so' | \
 	    xargs -I LIB cp LIB $(gpu_bundle)/lib
+
+.PHONY: bench-materials
+## bench-materials: compare materials of assets and of SCANS='a.gltf b.glb' in Blender, BPY=python-with-bpy
+bench-materials: $(venv)/installed
+	@$(or $(BPY),python3) tests/bench/materials.py $(venv)/bin/bisque-asset $(OPTIONS) -- $(SCANS)

@@ -107,12 +107,14 @@ static int arrays_read(void *user, void *to, uint64_t count, uint64_t offset)
 }
 
 /* Filters an image bilinearly at `count` points, from its lower left corner; beyond its border,
- * texels at the border count. cache_bytes, data, errors: as in formats/texture/texture.h. */
-static int arrays_sample(struct bsq_ctx *ctx, const char *path, bool data, uint64_t cache_bytes,
-                         uint64_t count, const float (*uv)[2], float (*out)[3])
+ * texels at the border count. cache_bytes, data, alpha, errors: as in formats/texture/texture.h. */
+static int arrays_sample(struct bsq_ctx *ctx, const char *path, bool data, bool alpha,
+                         uint64_t cache_bytes, uint64_t count, const float (*uv)[2],
+                         float (*out)[3])
 {
     static const uint8_t clamp[2] = {FMT_WRAP_CLAMP, FMT_WRAP_CLAMP};
-    const struct fmt_texture_source source = {.path = path, .data = data, .srgb = !data};
+    const struct fmt_texture_source source = {
+        .path = path, .data = data, .srgb = !data, .alpha = alpha};
     struct fmt_textures *textures = NULL;
     int status = fmt_textures_open(ctx, &source, 1, cache_bytes, &textures);
     for (uint64_t i = 0; status == 0 && i < count; i++)

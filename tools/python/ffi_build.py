@@ -17,7 +17,7 @@ LIBS = subprocess.run(["make", "-s", "--no-print-directory", "print-libs"], cwd=
 ARCHIVES = [str(ROOT / BUILD / f"lib/libbisque-{name}.a")
             for name in ("voxel", "bake", "formats", "base")]
 INCLUDES = '\n'.join(f'#include "{name}"' for name in (
-    "base/context.h", "base/job_files.h", "formats/file_kind.h", "libvoxel/voxel.h", "libbake/bake.h",
+    "base/context.h", "base/job_files.h", "formats/file_kind.h", "formats/material/channels.h", "libvoxel/voxel.h", "libbake/bake.h",
     "libbake/compare.h"))
 
 ffi = FFI()

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from . import core, programs, seen, uv
+from . import core, materials, programs, seen, uv
 from .core import Error
 from .mesh import Mesh, as_mesh, is_path, parse_texels, read_mesh
 from .steps import FAILED_IO, Folder, Steps, sha256
@@ -73,7 +73,8 @@ def choose_surface(low: Mesh, scan_triangles: int, size: int, maps: Any) -> dict
 def write_mtl(path: Path, files: dict) -> None:
     """Writes the material of an OBJ file with its maps."""
     lines = ["newmtl baked", "Kd 1 1 1", "Ks 0 0 0", "illum 1"]
-    for name, statement in (("color", "map_Kd"), ("normal", "norm"), ("ao", "map_Ka")):
+    lines += ["Ke 1 1 1"] * ("emission" in files)
+    for name, statement in {"color": "map_Kd", "normal": "norm", "ao": "map_Ka", **materials.CHANNELS}.items():
         if name in files:
             lines.append(f"{statement} {os.path.basename(files[name])}")
     path.write_text("\n".join(lines) + "\n")
@@ -123,7 +124,7 @@ def _bake(steps: Steps, scan: str, obj: Path, files: dict, options: dict, job: d
     words = ["-o", obj.with_name("<MAP>.png"), "--maps", maps, "--size", options["size"],
              "--samples", options["samples"]]
     words += ["--rays", f"ao={options['ao_rays']}"] if {"ao", "bent"} & set(options["maps"]) else []
-    words += [word for name, path in files.items() for word in (f"--{name}", path)]
+    words += [*options["material"], *(word for name, path in files.items() for word in (f"--{name}", path))]
     words += ["--memory", core.parse_bytes(job["memory"])] if job["memory"] else []
     words += ["--threads", job["threads"]] if job["threads"] else []
     report = programs.run("bisque-bake", [*words, "--", scan, obj], steps.report, steps.heard.warn, [steps.lock])
@@ -148,26 +149,24 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
     """Bakes a level: maps, GLB and preview beside its OBJ file. Returns its part of the certificate,
     in which "files" are paths."""
     suffix, size, obj = f" {level['name']}", level["size"], level["obj"]
-    surface = choose_surface(low, sorted_report["triangles"], size, level["maps"])
+    maps = level["maps"]
+    surface = choose_surface(low, sorted_report["triangles"], size, maps)
     if level["surface"] != "auto":
         surface["exact"] = level["surface"] == "exact"
     scan, grid = chunks, steps.folder / f"grid_{level['name']}.nvdb"
     if not surface["exact"]:
         scan = str(grid)
-        options = {"resolution": min(surface["resolution"], MOST_RESOLUTION)}
+        channels = [name for name in maps if name in sorted_report["channels"]]
+        options = {"resolution": min(surface["resolution"], MOST_RESOLUTION), "channels": ",".join(channels) or None}
         steps.run("voxelize" + suffix, [chunks], options, [grid], lambda: core.voxelize(
             chunks, grid, progress=steps.report, **options, **job))
-    has_color = sorted_report["has_colors"] or sorted_report["has_material_colors"] or (
-        sorted_report["uses_textures"])
-    maps = [name for name in level["maps"] if name != "color" or has_color]
-    if not maps:
-        raise Error(65, "the scan has no colour, and no other map is asked for")
     files = {"glb": obj.with_suffix(".glb"), "preview": obj.with_name("preview.png")}
     if level["report"]:
         files["report"] = obj.with_name("raw.html")
     images = {name: obj.with_name(f"{name}.png") for name in maps}
     mtl = obj.with_suffix(".mtl")
-    options = {"maps": maps, "size": size, "samples": level["samples"], "ao_rays": level["rays"]}
+    options = {"maps": maps, "size": size, "samples": level["samples"], "ao_rays": level["rays"],
+               "material": materials.options_of(maps, sorted_report)}
 
     def make() -> dict:
         mtl.unlink(missing_ok=True)
@@ -181,8 +180,8 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
         low.report.update(steps.run("check distance" + suffix, [chunks, obj], {}, [],
                                     lambda: core.measure(bare, chunks, **job)))
     reach = low.report["from_scan"]["max"]
-    errors = steps.run("check" + suffix, [chunks, files["glb"]], {"reach": reach}, [],
-                       lambda: seen.compare_views(files["glb"], chunks, reach, progress=steps.report, **job))
+    errors = steps.run("check" + suffix, [chunks, files["glb"]], {"reach": reach, "maps": maps}, [],
+                       lambda: seen.compare_views(files["glb"], chunks, reach, maps, progress=steps.report, **job))
     made = {level["glb"]: files["glb"]}
     made.update({level["made"] / path.name: path for path in (obj, mtl, files["preview"], *images.values())})
     if level["report"]:
@@ -192,7 +191,7 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
     return {"name": level["name"], "triangles": len(low.faces), "size": size,
             "surface": {**surface, "method": "exact" if surface["exact"] else "grid"},
             "distance": {key: low.report[key] for key in ("from_scan", "from_mesh")},
-            "uv": low.report["uv"], **errors,
+            "uv": low.report["uv"], "materials": materials.certify(maps, sorted_report), **errors,
             "rays": {key: report[key] for key in ("samples", "hits", "misses", "front", "back")},
             "memory_high": report["cost"]["memory_high_bytes"],
             "warnings": steps.warnings_of(level["name"]), "files": made}
@@ -200,7 +199,7 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
 
 #: Members of a report on a sorted scan that count what it lost.
 LOSSES = ("degenerate_triangles", "short_faces", "broken_faces", "lost_corners", "unused_vertices",
-          "skipped_lines", "unkept_channels")
+          "skipped_lines")
 
 
 def _lost(report: dict) -> dict:
@@ -235,11 +234,11 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
     paths = [] if core._is_memory(scan) else core._paths(scan)
     low = os.fsdecode(low) if is_path(low) else low
     given = [*paths, *([low] if is_path(low) else []), *([os.fsdecode(texture)] if texture else [])]
-    maps = (maps,) if isinstance(maps, str) else maps or PRESETS[preset]["maps"]
+    maps = (maps,) if isinstance(maps, str) else maps or ()
     maps = list(dict.fromkeys(name.removeprefix("transfer:") for name in maps))
     _check_inputs(output, made, Path(keep) if keep else made, given)
     job = {"memory": core.parse_bytes(memory), "threads": core.check_number("threads", threads, 0, 65536)}
-    level = {"samples": samples, "maps": maps, "rays": PRESETS[preset]["rays"], "surface": surface, "library": library,
+    level = {"samples": samples, "rays": PRESETS[preset]["rays"], "surface": surface, "library": library,
              "seconds": unwrap_seconds, "min_component": min_component, "report": report, "command": command}
     elsewhere = bool(keep) and Path(keep).resolve() != made.resolve()
     private = kept = Folder(made)
@@ -249,6 +248,7 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
             kept = Folder(Path(keep))
         steps = Steps(kept, progress, len(chosen))
         chunks, about = _sorted(steps, scan, paths, texture, job)
+        level["maps"] = materials.choose_maps(maps, PRESETS[preset]["maps"], about)
         levels = [_bake_level(steps, chunks, about, _low_of(steps, chunks, low, one, job), one, job)
                   for one in _levels(chosen, level, output, made, steps)]
         options = {"preset": preset, "levels": chosen, "samples": samples, "surface": surface,
@@ -293,15 +293,13 @@ def _sorted(steps: Steps, scan: Any, paths: list[str], texture: Any, job: dict) 
             raise ValueError("texture: a chunk file names its images itself; sort the mesh with this one")
         if len(paths) > 1:
             raise ValueError("several chunk files: sort the meshes together, or give the meshes")
-        about = programs.run("bisque-voxelize", ["--info", "--", paths[0]], None, lambda _: None)["files"][0]
-        known = {"triangles": about["triangles"], "has_colors": about["color"]}
-        return paths[0], {**dict.fromkeys((*LOSSES, "has_material_colors", "uses_textures"), 0), **known}
+        return paths[0], {**dict.fromkeys(LOSSES, 0), "double_sided": False, **materials.describe(paths[0])}
     chunks = str(steps.folder / "scan.tris")
     options = {} if paths else {"content": _digest(as_mesh(scan))}
     if texture:
         options["texture"] = os.path.abspath(texture)
-    return chunks, steps.run("sort", paths, options, [Path(chunks)], lambda: core.sort(
-        scan, chunks, texture=texture, progress=steps.report, **job))
+    return chunks, steps.run("sort", paths, options, [Path(chunks)], lambda: {**core.sort(
+        scan, chunks, texture=texture, channels="all", progress=steps.report, **job), **materials.describe(chunks)})
 
 
 def _check_options(output: Path, preset: str, triangles: int | None, samples: int,

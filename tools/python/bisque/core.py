@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import shutil
 import tempfile
@@ -283,7 +284,7 @@ def _kind(job: Job, path: str) -> int:
 
 
 def _sort(job: Job, scan: Any, output: str, texture: Any = None, ids: str = "none",
-          channels: Sequence[str] = (), embed_textures: bool = False,
+          channels: Sequence[str] | str = (), embed_textures: bool = False,
           scan_normals: str = "auto", temporary: Any = ffi.NULL) -> dict:
     options = ffi.new("struct vox_sort_options *")
     lib.vox_sort_defaults(options)
@@ -296,9 +297,12 @@ def _sort(job: Job, scan: Any, output: str, texture: Any = None, ids: str = "non
     options.tris_path = job.string(output)
     options.texture_path = job.string(texture)
     options.ids = _word("ids", ids, ("none", "material", "object", "color"))
+    names, every = channels, channels == "all"
+    if every:
+        names = [_text(lib.fmt_channel_at(i).name) for i in itertools.takewhile(lib.fmt_channel_at, itertools.count())]
     options.channels = job.keep(ffi.new("struct vox_channel[]", [
-        {"name": job.string(name), "texture_path": ffi.NULL} for name in channels]))
-    options.channel_count = len(channels)
+        {"name": job.string(name), "texture_path": ffi.NULL, "optional": every} for name in names]))
+    options.channel_count = len(names)
     options.embed_textures = embed_textures
     options.scan_normals = _word("scan_normals", scan_normals, NORMALS)
     options.temp_tris = temporary
@@ -334,13 +338,13 @@ def _chunks(job: Job, scan: Any, scan_normals: str = "flat") -> str:
 
 
 def sort(scan: Any, output: str | os.PathLike, *, texture: Any = None, ids: str = "none",
-         channels: Sequence[str] = (), embed_textures: bool = False, scan_normals: str = "auto",
+         channels: Sequence[str] | str = (), embed_textures: bool = False, scan_normals: str = "auto",
          memory: int | str | None = None, threads: int = 0, tmpdir: Any = None,
          progress: Progress | None = None) -> dict:
     """Sorts a scan into a chunk file (.tris), from which all other functions start faster.
 
     texture: an image for all faces with texture coordinates. ids: "material", "object" or "color".
-    channels: such as ("roughness",). scan_normals: of a scan that has none, by "area" (auto), "angle",
+    channels: such as ("roughness",), or "all" that materials have. scan_normals: of a scan that has none, by "area" (auto), "angle",
     "max" or "flat". Returns the report. Raises Error."""
     with Job(memory, threads, tmpdir, progress) as job:
         return _sort(job, scan, os.fspath(output), texture, ids, channels, embed_textures,
@@ -601,13 +605,13 @@ def compare(a: str | os.PathLike, b: str | os.PathLike, *, mask: Any = None, kin
         return {**_plain(report), "unit": _text(lib.bake_compare_unit(report.kind))}
 
 
-def sample_image(path: str | os.PathLike, uvs: np.ndarray, *, data: bool, memory: int | str | None = None,
-                 threads: int = 0) -> np.ndarray:
+def sample_image(path: str | os.PathLike, uvs: np.ndarray, *, data: bool, alpha: bool = False,
+                 memory: int | str | None = None, threads: int = 0) -> np.ndarray:
     """Filters an image bilinearly at texture coordinates: data as they are, colours in linear light, of
-    one that is sRGB. Returns float32 (points, 3). Raises Error."""
+    one that is sRGB, or its alpha three times. Returns float32 (points, 3). Raises Error."""
     with Job(memory, threads) as job:
         uvs = np.ascontiguousarray(uvs, np.float32)
         found = np.empty((len(uvs), 3), np.float32)
-        job.run(lib.arrays_sample, job.string(path), data, 64 << 20, len(uvs),
+        job.run(lib.arrays_sample, job.string(path), data, alpha, 64 << 20, len(uvs),
                 ffi.cast("float (*)[2]", uvs.ctypes.data), ffi.cast("float (*)[3]", found.ctypes.data))
         return found

@@ -10,7 +10,7 @@ import os
 import struct
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Sequence
 
 import numpy as np
 
@@ -19,6 +19,12 @@ from .mesh import Error, Mesh
 
 #: Views in the columns and rows of the atlas, and the pixels of a side of each.
 COLUMNS, ROWS, SIDE = 5, 4, 104
+#: The textures of materials that show maps, and which component (3: alpha; None: all).
+TEXTURES = {"normal": ("normalTexture", None), "color": ("baseColorTexture", None), "opacity": ("baseColorTexture", 3),
+            "roughness": ("metallicRoughnessTexture", 1), "metallic": ("metallicRoughnessTexture", 2),
+            "occlusion": ("occlusionTexture", 0), "emission": ("emissiveTexture", None)}
+#: What a material without the texture shows.
+ABSENT = {"color": 1.0, "opacity": 1.0, "roughness": 1.0, "metallic": 0.0, "occlusion": 1.0, "emission": 0.0}
 #: Most pixels that triangles may cover at a time.
 PIXELS = 1 << 21
 
@@ -77,8 +83,9 @@ def _write_png(path: str, values: np.ndarray) -> None:
 
 
 def read_glb(path: Path, folder: Path) -> dict:
-    """Reads the mesh of a GLB file as bake() writes it: p, n, t and uv of the corners of each triangle, and the
-    files of its images, normal and color, which are written to the folder, or None."""
+    """Reads the mesh of a GLB file as bake() writes it: p, n, t and uv of the corners of each triangle, and by
+    the names of maps what shows them: the file of an image, which is written to the folder, a component of it (3:
+    alpha; None: all), and a factor."""
     with open(path, "rb") as file:
         file.seek(12)
         length, = struct.unpack("<I", file.read(8)[:4])
@@ -89,11 +96,9 @@ def read_glb(path: Path, folder: Path) -> dict:
             file.seek(start + where.get("byteOffset", 0))
             return file.read(where["byteLength"])
 
-        def image(name: str, material: dict) -> str | None:
-            if name not in material:
-                return None
-            source = head["images"][head["textures"][material[name]["index"]]["source"]]
-            where, found = head["bufferViews"][source["bufferView"]], f"{folder}/{name}.png"
+        def image(reference: dict) -> str:
+            number = head["textures"][reference["index"]]["source"]
+            where, found = head["bufferViews"][head["images"][number]["bufferView"]], f"{folder}/{number}.png"
             at, end = (start + where["byteOffset"] + more for more in (0, where["byteLength"]))
             with open(found, "wb") as out:
                 while at < end:
@@ -109,9 +114,14 @@ def read_glb(path: Path, folder: Path) -> dict:
         corners = [rows[faces, attributes[name]["byteOffset"] // 4:][:, :, :count].astype(np.float64)
                    for name, count in (("POSITION", 3), ("NORMAL", 3), ("TANGENT", 4), ("TEXCOORD_0", 2))]
         material = head["materials"][primitive.get("material", 0)]
+        material.update(material["pbrMetallicRoughness"])
+        strength = material.get("extensions", {}).get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1)
         corners[0] += head["nodes"][0]["translation"]
-        return {**dict(zip(("p", "n", "t", "uv"), corners)), "normal": image("normalTexture", material),
-                "color": image("baseColorTexture", material["pbrMetallicRoughness"])}
+        shows = {name: (image(material[texture]), component, strength if name == "emission" else 1)
+                 for name, (texture, component) in TEXTURES.items() if texture in material}
+        if "alphaMode" not in material:
+            shows.pop("opacity", None)
+        return {**dict(zip(("p", "n", "t", "uv"), corners)), "shows": shows}
 
 
 def _draw(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -148,31 +158,40 @@ def _draw(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return shown, weights
 
 
-def _shade(glb: dict, t: np.ndarray, w: np.ndarray, job: dict) -> dict:
-    """Returns what a glTF viewer has at points of triangles: their unit normals, and their colours in sRGB."""
+def _shade(glb: dict, maps: Sequence[str], t: np.ndarray, w: np.ndarray, job: dict) -> dict:
+    """Returns what a glTF viewer has at points of triangles: their unit normals, their colours in sRGB, and other
+    values of maps."""
     n, tangent, uv = ((glb[key][t] * w[:, :, None]).sum(axis=1) for key in ("n", "t", "uv"))
     uv[:, 1] = 1 - uv[:, 1]
-    if glb["normal"]:
-        m = 2 * core.sample_image(glb["normal"], uv, data=True, **job) - 1
+    shows = glb["shows"]
+    if "normal" in shows:
+        m = 2 * core.sample_image(shows["normal"][0], uv, data=True, **job) - 1
         across = glb["t"][t, 0, 3:] * np.cross(n, tangent[:, :3])
         n = m[:, :1] * tangent[:, :3] + m[:, 1:2] * across + m[:, 2:] * n
     found = {"normal": n / np.linalg.norm(n, axis=1, keepdims=True).clip(1e-30) / 2 + 0.5}
-    if glb["color"]:
-        c = core.sample_image(glb["color"], uv, data=False, **job)
+    for name in (name for name in maps if name in ABSENT):
+        image, component, factor = shows.get(name, (None, None, 1))
+        found[name] = np.full((len(uv), 3), ABSENT[name])
+        if image:
+            found[name] = factor * core.sample_image(image, uv, data=component is not None, alpha=component == 3, **job)
+            found[name] = found[name][:, slice(3) if component is None else [component % 3]]
+    if "color" in maps:
+        c = found["color"]
         found["color"] = np.where(c <= 0.0031308, 12.92 * c, 1.055 * c.clip(0) ** (1 / 2.4) - 0.055)
     return found
 
 
-def compare_views(path: Path, chunks: str, reach: float, *, progress: core.Progress | None = None,
-                  **job: Any) -> dict:
+def compare_views(path: Path, chunks: str, reach: float, maps: Sequence[str], *,
+                  progress: core.Progress | None = None, **job: Any) -> dict:
     """Compares a GLB file, as a viewer shows it, with its scan, as its triangles are, in views from all
-    around. reach: the most that the scan is away from the mesh. Returns `normal_error` in degrees and, if there are
-    colours, `color_error` (CIEDE2000), over the pixels that show both, and the share of those among all that show
-    one, `silhouette`. Temporary files are beside the GLB file."""
+    around, as if nothing were transparent. reach: the most that the scan is away from the mesh; maps: those of the
+    asset. Returns `normal_error` in degrees, `color_error` (CIEDE2000), and the errors of channels such as roughness,
+    if there are such maps, over the pixels that show both, and the share of those among all that show one,
+    `silhouette`. Temporary files are beside the GLB file."""
     folder = path.parent / "views"
     folder.mkdir(exist_ok=True)
     try:
-        return _compare_views(path, chunks, reach, folder, progress, job)
+        return _compare_views(path, chunks, reach, [name for name in maps if name in ABSENT], folder, progress, job)
     except Error as error:
         if error.message.startswith(("no ray hit", "no texel is covered")):
             return {"silhouette": 0.0}  # no pixel shows both, as of a thread
@@ -181,30 +200,45 @@ def compare_views(path: Path, chunks: str, reach: float, *, progress: core.Progr
         core._remove(str(folder))
 
 
-def _compare_views(path: Path, chunks: str, reach: float, folder: Path, progress: core.Progress | None,
-                   job: dict) -> dict:
+def _compare_views(path: Path, chunks: str, reach: float, maps: list[str], folder: Path,
+                   progress: core.Progress | None, job: dict) -> dict:
     with core.quiet():  # the bake has warned
         glb = read_glb(path, folder)
         corners = glb["p"].reshape(-1, 3)
         centre = (corners.min(axis=0) + corners.max(axis=0)) / 2
         half = float(np.linalg.norm(corners - centre, axis=1).max())
         distance, axes = max(3 * half, 1.01 * half + reach), _views()
-        names = ["normal", "mask", *(["color"] if glb["color"] else [])]
-        core.bake(chunks, _atlas(axes, centre, half, distance), names, size=(COLUMNS * SIDE, ROWS * SIDE), samples=1,
+        names = ["normal", "mask", *(["color"] if "color" in maps else [])]
+        channels = [name for name in maps if name != "color"]
+        scan = core.bake(
+            chunks, _atlas(axes, centre, half, distance), names + channels, size=(COLUMNS * SIDE, ROWS * SIDE), samples=1,
                   padding=0, front=0, back=2 * distance, normal_space="object", sample_type="float", as_is=True,
-                  output=f"{folder}/scan_<MAP>.exr", arrays=False, progress=progress, **job)
+            output=f"{folder}/scan_<MAP>.exr", progress=progress, **job)
         drawn = [_draw(_project(glb["p"] - centre, view, half, distance)) for view in axes]
         shown, weights = (np.concatenate(part) for part in zip(*drawn))
         seen = np.flatnonzero(shown >= 0)
-        values = _shade(glb, shown[seen], weights[seen], job)
+        values = _shade(glb, maps, shown[seen], weights[seen], job)
         values["mask"] = np.ones((len(seen), 3))
+        pictures = {}
+        for name, of_map in values.items():
+            pixels = np.zeros((len(shown), of_map.shape[1]))
+            pixels[seen] = of_map
+            pictures[name] = _picture(pixels)
         for name in names:
-            pixels = np.zeros((len(shown), 3))
-            pixels[seen] = values[name]
-            _write_png(f"{folder}/asset_{name}.png", _picture(pixels))
+            _write_png(f"{folder}/asset_{name}.png", pictures[name])
         found = {name: core.compare(f"{folder}/asset_{name}.png", f"{folder}/scan_{name}.exr", kind=name, force=True,
                                     mask=[f"{folder}/{of}" for of in ("asset_mask.png", "scan_mask.exr")], **job)
                  for name in names if name != "mask"}
         keys = ("unit", "compared", "mean", "median", "p95", "p99", "max")
+        both = (pictures["mask"][:, :, 0] > 0) & (scan["mask"] > 0)
+        found.update({name: _difference(pictures[name][both], scan[name][both]) for name in channels})
         return {"silhouette": found["normal"]["agreement"],
                 **{f"{name}_error": {key: of[key] for key in keys} for name, of in found.items()}}
+
+
+def _difference(a: np.ndarray, b: np.ndarray) -> dict:
+    """Returns the differences of values of pixels, each the mean of its components."""
+    error = abs(a - b.reshape(a.shape)).mean(axis=1)
+    median, p95, p99 = np.percentile(error, (50, 95, 99))
+    return {"unit": "difference", "compared": len(error), "mean": error.mean(), "median": median, "p95": p95,
+            "p99": p99, "max": error.max()}
