@@ -17,6 +17,8 @@ enum { LINEAR = 9729, LINEAR_MIPMAP_LINEAR = 9987, CLAMP_TO_EDGE = 33071 };
 enum { COPY_BYTES = 1 << 20 };
 #define STRENGTH "KHR_materials_emissive_strength"
 
+#define GREY 0.6 /* the base colour without a texture, linear */
+
 /* The arrays of the document while they grow. */
 struct document {
     json_t *views, *accessors, *primitives, *materials, *textures, *images;
@@ -141,6 +143,9 @@ static void glb_add_material(struct document *d, const struct fmt_glb_material *
         json_object_set_new(material, "name", json_string("material"));
     if (base)
         json_object_set_new(pbr, "baseColorTexture", base);
+    else
+        json_object_set_new(pbr, "baseColorFactor",
+                            json_pack("[f, f, f, f]", GREY, GREY, GREY, 1.0));
     if (orm && (from->roughness || from->metallic))
         json_object_set(pbr, "metallicRoughnessTexture", orm);
     if (orm && from->occlusion)

@@ -29,7 +29,8 @@ UNWRAP = ("import sys, bisque; words = sys.argv[1:]; "
           "bisque.unwrap(words[0], library=words[1], size=64, threads=int(words[2])).save('low.obj')")
 CALLS = ("open", "read", "map", "write", "sync", "size", "name", "remove", "close")
 CHOICES = {"--maps": ["normal", "normal,color", "ao,height", "color,curvature"], "--samples": ["1", "2"],
-           "--surface": ["grid", "exact"], "--unwrap": ["xatlas"], "--min-component": ["0.01"], "--report": [None],
+           "--surface": ["grid", "exact"], "--unwrap": ["xatlas"], "--min-component": ["1%"], "--up": ["z"],
+           "--units": ["mm"], "--close-holes": ["5%"], "--hard-angle": ["5"], "--winding": ["keep"], "--report": [None],
            "--low": ["in/low.obj"], "--texture": ["in/b.png"], "--keep": ["k"], "-j": ["1", "3"], "--memory": ["64M"]}
 
 

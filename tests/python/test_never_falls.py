@@ -66,7 +66,10 @@ def draw_options(draw, lows, folder):
             "normal", "normal,color", "ao", "height,mask", "curvature,position", "thickness", "id", "roughness", "bent",
             "x", ",", "transfer:roughness", "color", "normal,normal"],
         "--samples": [1, 2, 3, 0], "--surface": ["auto", "grid", "exact"], "--unwrap": ["uvunwrap", "xatlas"],
-        "--unwrap-seconds": [60, 0.001, -1], "--min-component": [0, 0.01, 0.9, 2, "nan"], "--report": [None],
+        "--unwrap-seconds": [60, 0.001, -1], "--min-component": [0, "1%", 90, "200%", "nan"], "--report": [None],
+        "--min-triangles": [0, 2, 10 ** 6, -1], "--error": ["5%", "40mm", 0.05, 0, "x"], "--up": ["z", "-x", "y", "w"],
+        "--units": ["mm", "in", "m", "ft"], "--scale": [1, 0.01, 1e6, 0], "--close-holes": ["50%", 1, "2cm", "y"],
+        "--hard-angle": [40, 0, 180, 181], "--winding": ["auto", "keep", "no"],
         "--keep": [str(folder / "k1"), str(folder / "k2")], "--memory": ["64M", "1G", "1K", "4Q"],
         "-j": [1, 2, 3, -1]}
     size = draw.choice([31, 64, 64, 64, 64, 16, 0]) if draw.random() < 0.9 else 100000
@@ -76,7 +79,7 @@ def draw_options(draw, lows, folder):
             # Values that make no sense stand last; most draws are of the others.
             value = draw.choice(values[:max(1, len(values) // 2)] if draw.random() < 0.9 else values)
             options += [name] if value is None else [name, value]
-    return options if "--triangles" in options else [*options, "--triangles", 40]
+    return options if {"--triangles", "--error"} & set(options) else [*options, "--triangles", 40]
 
 
 @pytest.mark.parametrize("seed", range(10 if LONG else 1))

@@ -370,10 +370,17 @@ def test_results_that_cannot_be_printed_are_an_error(tmp_path):
 
 
 @pytest.mark.parametrize("given, code, text", [
-    (("--size", "zz"), 64, "--size"), (("--nothing",), 64, "--nothing"), (("--triangles", "-5"), 64, "triangles"),
+    (("--size", "zz"), 64, "size"), (("--size", "4kk"), 64, "size"),
+    (("--nothing",), 64, "--nothing"), (("--triangles", "-5"), 64, "triangles"),
     (("--triangles", "0"), 64, "triangles"), (("--triangles", "99999999999999999999"), 64, "triangles"),
     (("--size", "0"), 64, "size"), (("--samples", "-1"), 64, "samples"), (("-j", "-1"), 64, "threads"),
     (("--memory", "1x"), 64, "memory"), (("--min-component", "nan"), 64, "min_component"),
+    (("--min-component", "101%"), 64, "min_component"), (("--min-triangles", "-1"), 64, "min_triangles"),
+    (("--triangles", "12.5"), 64, "triangles"), (("--triangles", "101%"), 64, "triangles"),
+    (("--error", "1mm"), 64, "only one"), (("--up", "w"), 64, "up: 'w'"), (("--up", "-w"), 64, "--up"),
+    (("--units", "ft"), 64, "units: 'ft'"), (("--scale", "0"), 64, "scale"),
+    (("--close-holes", "2ft"), 64, "close_holes"),
+    (("--hard-angle", "181"), 64, "hard_angle"), (("--winding", "left"), 64, "--winding"),
     (("--unwrap-seconds", "-1"), 64, "unwrap_seconds"), (("--maps", "nothing"), 65, "nothing"),
     (("--memory", "1K"), 71, "memory"), (("--low", "missing.obj"), 66, "missing.obj"), (("--low", "/"), 66, "/"),
     (("--keep", "/dev/null/k"), 73, "/dev/null"), (("--texture", "missing.png"), 66, "missing.png"),

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from . import core, materials, programs, seen, uv
+from . import core, materials, place, programs, repair, seen, uv
 from .core import Error
 from .mesh import Mesh, as_mesh, is_path, parse_texels, read_mesh
 from .steps import FAILED_IO, Folder, Steps, sha256
@@ -72,7 +72,7 @@ def choose_surface(low: Mesh, scan_triangles: int, size: int, maps: Any) -> dict
 
 def write_mtl(path: Path, files: dict) -> None:
     """Writes the material of an OBJ file with its maps."""
-    lines = ["newmtl baked", "Kd 1 1 1", "Ks 0 0 0", "illum 1"]
+    lines = ["newmtl baked", "Kd 1 1 1" if "color" in files else "Kd 0.6 0.6 0.6", "Ks 0 0 0", "illum 1"]
     lines += ["Ke 1 1 1"] * ("emission" in files)
     for name, statement in {"color": "map_Kd", "normal": "norm", "ao": "map_Ka", **materials.CHANNELS}.items():
         if name in files:
@@ -85,20 +85,23 @@ def write_mtl(path: Path, files: dict) -> None:
 def _low_of(steps: Steps, scan: str, given: Any, level: dict, job: dict) -> Mesh:
     """Returns the low-poly mesh of a level with UVs, and writes it as an OBJ file."""
     simple, unwrapped = steps.folder / f"low_{level['name']}.ply", level["obj"]
-    number, size = level["triangles"], level["size"]
+    size = level["size"]
     suffix = f" {level['name']}"
     options = {"size": size, "padding": max(2, size // 512), "library": level["library"]}
     if given is None:
-        wanted = {"triangles": number, "min_component": level["min_component"]}
+        wanted = {"triangles": level["triangles"], **level["simplify"]}
         report = steps.run("simplify" + suffix, [scan], wanted, [simple], lambda: core.simplify(
             scan, simple, progress=steps.report, **wanted, **job).report)
-        inputs, low = [simple], read_mesh(str(simple))
+        distance = report["from_mesh"]["max"]
+        mended = repair.mended(steps, level, scan, read_mesh(str(simple)), simple, distance, job)
+        inputs, low = [level["mended"]], read_mesh(str(level["mended"]))
     else:
         inputs = [given] if is_path(given) else []
         for path in inputs:
             steps.hold(path)
         low, report = as_mesh(given), {}
         options["content"] = _digest(low)
+        mended = repair.mended(steps, {**level, "content": options["content"]}, scan, low, None, np.inf, job)
 
     def make() -> dict:
         if low.uvs is not None:
@@ -112,7 +115,7 @@ def _low_of(steps: Steps, scan: str, given: Any, level: dict, job: dict) -> Mesh
     options["version"] = metadata.version(level["library"])
     found = steps.run("unwrap" + suffix, inputs, options, [unwrapped], make)
     mesh = read_mesh(str(unwrapped))
-    mesh.report = {**report, "uv": found}
+    mesh.report = {**report, "uv": found, "mended": mended}
     return mesh
 
 
@@ -127,6 +130,8 @@ def _bake(steps: Steps, scan: str, obj: Path, files: dict, options: dict, job: d
     words += [*options["material"], *(word for name, path in files.items() for word in (f"--{name}", path))]
     words += ["--memory", core.parse_bytes(job["memory"])] if job["memory"] else []
     words += ["--threads", job["threads"]] if job["threads"] else []
+    words += ["--two-sided"] if options["two_sided"] else []
+    words += ["--view", f"up={options['up']}"] if options["up"] else []
     report = programs.run("bisque-bake", [*words, "--", scan, obj], steps.report, steps.heard.warn, [steps.lock])
     for file in report["files_read"]:
         steps.heard.read(file["path"], file["identity"])
@@ -166,7 +171,8 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
     images = {name: obj.with_name(f"{name}.png") for name in maps}
     mtl = obj.with_suffix(".mtl")
     options = {"maps": maps, "size": size, "samples": level["samples"], "ao_rays": level["rays"],
-               "material": materials.options_of(maps, sorted_report)}
+               "material": materials.options_of(maps, sorted_report),
+               "two_sided": low.report["mended"]["two_sided"], "up": place.view_up(level["place"])}
 
     def make() -> dict:
         mtl.unlink(missing_ok=True)
@@ -180,9 +186,11 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
         low.report.update(steps.run("check distance" + suffix, [chunks, obj], {}, [],
                                     lambda: core.measure(bare, chunks, **job)))
     reach = low.report["from_scan"]["max"]
-    errors = steps.run("check" + suffix, [chunks, files["glb"]], {"reach": reach, "maps": maps}, [],
-                       lambda: seen.compare_views(files["glb"], chunks, reach, maps, progress=steps.report, **job))
-    made = {level["glb"]: files["glb"]}
+    looking = {"reach": reach, "maps": maps, "two_sided": options["two_sided"]}
+    errors = steps.run("check" + suffix, [chunks, files["glb"]], looking, [],
+                       lambda: seen.compare_views(files["glb"], chunks, **looking, progress=steps.report, **job))
+    glb, placement = place.placed(steps, level, files["glb"], low, report.get("preview_up"))
+    made = {level["glb"]: glb}
     made.update({level["made"] / path.name: path for path in (obj, mtl, files["preview"], *images.values())})
     if level["report"]:
         made[level["made"] / "report.html"] = obj.with_name("report.html")
@@ -191,7 +199,9 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
     return {"name": level["name"], "triangles": len(low.faces), "size": size,
             "surface": {**surface, "method": "exact" if surface["exact"] else "grid"},
             "distance": {key: low.report[key] for key in ("from_scan", "from_mesh")},
-            "uv": low.report["uv"], "materials": materials.certify(maps, sorted_report), **errors,
+            "uv": low.report["uv"], "materials": materials.certify(maps, sorted_report),
+            "mesh": low.report["mended"], "placement": placement,
+            "removed": {key: low.report.get(member, 0) for key, member in REMOVED.items()}, **errors,
             "rays": {key: report[key] for key in ("samples", "hits", "misses", "front", "back")},
             "memory_high": report["cost"]["memory_high_bytes"],
             "warnings": steps.warnings_of(level["name"]), "files": made}
@@ -202,22 +212,34 @@ LOSSES = ("degenerate_triangles", "short_faces", "broken_faces", "lost_corners",
           "skipped_lines")
 
 
+#: What simplify() counts of what it left out, by the names in the certificate.
+REMOVED = {"pieces": "dropped_pieces", "triangles": "dropped_triangles", "handles": "cut_handles"}
+
+
 def _lost(report: dict) -> dict:
     """Returns what of the scan the asset does not have."""
     return {key: report[key] for key in LOSSES if report[key]}
 
 
 def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str = "web",
-          triangles: int | None = None, size: int | str | None = None, maps: Any = None,
-          samples: int = 2, surface: str = "auto", library: str = uv.USUAL,
-          unwrap_seconds: float = 300, min_component: float = 0.0, texture: Any = None,
-          report: bool = False, keep: str | os.PathLike | None = None, memory: int | str | None = None,
-          threads: int = 0, progress: core.Progress | None = None,
+          triangles: int | str | None = None, error: float | str | None = None, size: int | str | None = None,
+          maps: Any = None, samples: int = 2, surface: str = "auto", library: str = uv.USUAL,
+          unwrap_seconds: float = 300, min_component: float | str = 0, min_triangles: int = 0,
+          close_holes: float | str = 0, hard_angle: float = 40, winding: str = "auto", up: str | None = None,
+          units: str | None = None, scale: float | None = None, texture: Any = None, report: bool = False,
+          keep: str | os.PathLike | None = None, memory: int | str | None = None, threads: int = 0,
+          progress: core.Progress | None = None,
           command: list[str] | None = None) -> dict:
     """Makes an asset of a scan: OUTPUT.glb, and beside it a folder OUTPUT_asset with the mesh and its
     material (low.obj, low.mtl), the maps, a picture (preview.png) and the certificate, asset.json.
     Of several levels (preset "museum"), each has a GLB file and a folder with its number.
 
+    triangles: a number, or "10%" of the scan's; error: instead, the smallest mesh that is nowhere farther from
+    the scan, nor the scan from it: a length ("0.2mm", or in the scan's units) or "0.1%" of its diagonal.
+    min_component, min_triangles: as of simplify(). close_holes: the size of the largest hole to close, as error.
+    hard_angle: edges with a larger angle are hard if the scan has them; 180: none is. winding: "auto" turns what
+    is inside out, "keep" does not. up, units, scale: the axis that points upwards in the scan, "-z" also, its unit
+    (mm, cm, m or in), and a factor; the GLB file has y upwards and metres.
     low: a low-poly mesh to use; it is unwrapped if it has no UVs. texture: an image for all faces
     with texture coordinates, instead of those that the scan names. surface: "grid", "exact", or
     "auto", by the size of a texel. report: also makes a page to look at, report.html. command: the
@@ -225,11 +247,16 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
     `bisque-steps` the files between stay; without it they are in OUTPUT_asset/bisque-steps until the
     asset is complete. Interrupted jobs go on from them.
     Returns the certificate. Raises Error, UnwrapError, ValueError."""
-    output, size = Path(output), None if size is None else parse_texels(size)
-    chosen = _check_options(output, preset, triangles, samples, surface, library, unwrap_seconds,
-                            min_component)
-    if low is not None or triangles or size:
-        chosen = [(triangles or chosen[-1][0], size or chosen[-1][1])]
+    output = Path(output)
+    size = size if size is None else parse_texels(size)
+    placing = {"up": up, "units": units, "scale": scale}
+    place.check_options(**placing)
+    given_low = {"min_component": min_component, "min_triangles": min_triangles, "close_holes": close_holes,
+                 "hard_angle": hard_angle, "winding": winding}
+    mending = repair.check_options(triangles, error, place.unit_of(units, scale), **given_low)
+    chosen = _check_options(output, preset, samples, surface, library, unwrap_seconds)
+    if low is not None or triangles or error is not None or size:
+        chosen = [(mending["triangles"] or (None if mending["error"] else chosen[-1][0]), size or chosen[-1][1])]
     made = output.with_name(output.stem + "_asset")
     paths = [] if core._is_memory(scan) else core._paths(scan)
     low = os.fsdecode(low) if is_path(low) else low
@@ -239,7 +266,8 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
     _check_inputs(output, made, Path(keep) if keep else made, given)
     job = {"memory": core.parse_bytes(memory), "threads": core.check_number("threads", threads, 0, 65536)}
     level = {"samples": samples, "rays": PRESETS[preset]["rays"], "surface": surface, "library": library,
-             "seconds": unwrap_seconds, "min_component": min_component, "report": report, "command": command}
+             "seconds": unwrap_seconds, "mend": mending["mend"], "simplify": mending["simplify"],
+             "place": {**placing, "name": place.name_of(paths)}, "report": report, "command": command}
     elsewhere = bool(keep) and Path(keep).resolve() != made.resolve()
     private = kept = Folder(made)
     done = False
@@ -249,10 +277,11 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
         steps = Steps(kept, progress, len(chosen))
         chunks, about = _sorted(steps, scan, paths, texture, job)
         level["maps"] = materials.choose_maps(maps, PRESETS[preset]["maps"], about)
+        level["has_normals"] = about["normals"]
         levels = [_bake_level(steps, chunks, about, _low_of(steps, chunks, low, one, job), one, job)
                   for one in _levels(chosen, level, output, made, steps)]
         options = {"preset": preset, "levels": chosen, "samples": samples, "surface": surface,
-                   "library": library, "memory": memory, "threads": threads}
+                   "library": library, **placing, **given_low, "error": error, "memory": memory, "threads": threads}
         certificate = _certificate(steps, paths, about, options, levels)
         _publish(certificate, made, output, private.path / PUBLISHED, steps, not keep)
         done = True
@@ -271,7 +300,7 @@ def _levels(chosen: list[tuple[int, int]], common: dict, output: Path, made: Pat
         staged.mkdir(exist_ok=True)
         yield {**common, "name": str(number), "triangles": count, "size": side, "obj": staged / "low.obj",
                "glb": output.with_name(f"{output.stem}_{number}.glb") if several else output,
-               "made": made / str(number) if several else made}
+               "mended": steps.folder / f"mended_{number}.obj", "made": made / str(number) if several else made}
 
 
 def _certificate(steps: Steps, paths: list[str], about: dict, options: dict, levels: list[dict]) -> dict:
@@ -302,8 +331,8 @@ def _sorted(steps: Steps, scan: Any, paths: list[str], texture: Any, job: dict) 
         scan, chunks, texture=texture, channels="all", progress=steps.report, **job), **materials.describe(chunks)})
 
 
-def _check_options(output: Path, preset: str, triangles: int | None, samples: int,
-                   surface: str, library: str, seconds: float, component: float) -> list[tuple[int, int]]:
+def _check_options(output: Path, preset: str, samples: int, surface: str, library: str,
+                   seconds: float) -> list[tuple[int, int]]:
     """Refuses values that make no sense, by ValueError. Returns the levels of the preset."""
     for name, value, words in (("preset", preset, PRESETS), ("library", library, uv.LIBRARIES),
                                ("surface", surface, ("auto", "grid", "exact"))):
@@ -313,12 +342,9 @@ def _check_options(output: Path, preset: str, triangles: int | None, samples: in
         raise Error(69, f"{library} is not installed: pip install {library}")
     if output.suffix.lower() != ".glb":
         raise ValueError(f"{output}: its name must end in .glb")
-    for name, value, most in (("triangles", triangles, 2 ** 32 - 1), ("samples", samples, 2 ** 16)):
-        if value is not None:
-            core.check_number(name, value, 1, most)
-    for name, value, most in (("unwrap_seconds", seconds, 1e9), ("min_component", component, 1)):
-        if not 0 <= value <= most:  # also NaN
-            raise ValueError(f"{name}: a number from 0 to {most:g} is needed, not {value:g}")
+    core.check_number("samples", samples, 1, 2 ** 16)
+    if not 0 <= seconds <= 1e9:  # also NaN
+        raise ValueError(f"unwrap_seconds: a number from 0 to 1e+09 is needed, not {seconds:g}")
     return PRESETS[preset]["levels"]
 
 

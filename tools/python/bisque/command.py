@@ -6,6 +6,7 @@ import difflib
 import errno
 import json
 import os
+import re
 import signal
 import sys
 import traceback
@@ -95,16 +96,29 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--preset", choices=PRESETS, default="web")
     parser.add_argument("--low", metavar="FILE.obj", help="a low-poly mesh to use")
     parser.add_argument("--texture", metavar="FILE", help="the scan's image, if it names none")
-    parser.add_argument("--triangles", type=int, metavar="N", help="of the low-poly mesh")
-    parser.add_argument("--size", metavar="N", help="texels of a side of the maps, or 4k")
+    parser.add_argument("--triangles", metavar="N", help="of the low-poly mesh, or 10%% of the scan's")
+    parser.add_argument("--error", metavar="D", help="instead: the smallest mesh that is nowhere farther from the "
+                        "scan; 0.2mm, 0.1%% of the scan's diagonal, or in its units")
+    parser.add_argument("--size", metavar="N", help="texels of a side of the maps, such as 2048 or 4k")
+    parser.add_argument("--up", metavar="AXIS", help="that points upwards in the scan: x, y, z, -x, -y or -z")
+    parser.add_argument("--units", metavar="UNIT", help="of the scan: mm, cm, m or in")
+    parser.add_argument("--scale", type=float, metavar="X", help="multiply the asset by X")
     parser.add_argument("--maps", metavar="LIST", help="such as normal,color,ao")
     parser.add_argument("--samples", type=int, default=2, metavar="N", help="N x N a texel")
     parser.add_argument("--surface", choices=("auto", "grid", "exact"), default="auto")
     parser.add_argument("--unwrap", choices=uv.LIBRARIES, default=uv.USUAL, metavar="LIBRARY",
                         help="uvunwrap or xatlas")
     parser.add_argument("--unwrap-seconds", type=float, default=300, metavar="S")
-    parser.add_argument("--min-component", type=float, default=0, metavar="SHARE",
-                        help="drop pieces with a smaller share of the scan's diagonal")
+    parser.add_argument("--min-component", default="0", metavar="P",
+                        help="drop pieces that are smaller than P %% of the scan, by diagonals: 5%%")
+    parser.add_argument("--min-triangles", type=int, default=0, metavar="N",
+                        help="drop pieces of fewer triangles of the scan")
+    parser.add_argument("--close-holes", default="0", metavar="SIZE",
+                        help="close holes of the low-poly mesh up to a size, such as 5cm or 2%%")
+    parser.add_argument("--hard-angle", type=float, default=40, metavar="DEG",
+                        help="edges with a larger angle are hard where the scan has them; 180: none is")
+    parser.add_argument("--winding", choices=("auto", "keep"), default="auto",
+                        help="auto turns pieces that are inside out")
     parser.add_argument("--report", action="store_true", help="also write report.html, a page to look at")
     parser.add_argument("--keep", metavar="DIR", help="keep the files between in DIR/bisque-steps")
     parser.add_argument("--memory", metavar="SIZE", help="for each step, such as 1G")
@@ -123,6 +137,8 @@ def _print(a: argparse.Namespace, certificate: dict) -> None:
         f"{level['surface']['method']}; farthest from the scan {level['distance']['from_scan']['max']:.4g}" +
         (f"; normals off by {level['normal_error']['mean']:.3g} degrees on average" if "normal_error" in level else "")
         for level in certificate["levels"]]
+    if not (a.json or a.up) and certificate["levels"][0]["placement"]["preview_up"] == "z":
+        lines.append("the preview takes z for upwards, the GLB file y: --up z turns it, and --up y the preview")
     if not sys.stdout:
         raise OSError(errno.EBADF, os.strerror(errno.EBADF), "standard output")
     try:
@@ -135,18 +151,22 @@ def _print(a: argparse.Namespace, certificate: dict) -> None:
 
 
 def _make(arguments: list[str], screen: _Screen) -> None:
+    # -z after --up is no option.
+    joined = re.sub(r"(?<=\0--up)\0(?=-[xyz]\0)", "=", "\0".join(["", *arguments, ""])).split("\0")[1:-1]
     parser = _parser()
-    parser.refuse_unknown(arguments)
-    a = parser.parse_args(arguments)
+    parser.refuse_unknown(joined)
+    a = parser.parse_args(joined)
     screen.kind = a.progress
     if a.progress == "auto":
         screen.kind = "bar" if sys.stderr and sys.stderr.isatty() else "none"
     certificate = asset(
         a.scan if len(a.scan) > 1 else a.scan[0], a.output, low=a.low, preset=a.preset,
-        triangles=a.triangles, size=a.size, maps=a.maps.split(",") if a.maps else None,
+        triangles=a.triangles, error=a.error, size=a.size, maps=a.maps.split(",") if a.maps else None,
         samples=a.samples, surface=a.surface, library=a.unwrap, unwrap_seconds=a.unwrap_seconds,
-        min_component=a.min_component, texture=a.texture, report=a.report, keep=a.keep, memory=a.memory,
-        threads=a.threads, progress=screen.progress, command=["bisque-asset", *arguments])
+        min_component=a.min_component, min_triangles=a.min_triangles, close_holes=a.close_holes,
+        hard_angle=a.hard_angle, winding=a.winding, up=a.up, units=a.units, scale=a.scale, texture=a.texture,
+        report=a.report, keep=a.keep, memory=a.memory, threads=a.threads, progress=screen.progress,
+        command=["bisque-asset", *arguments])
     screen.end_bar()
     _print(a, certificate)
 

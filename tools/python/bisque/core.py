@@ -16,7 +16,8 @@ from typing import Any, Callable, Sequence
 import numpy as np
 
 from .lib._core import ffi, lib
-from .mesh import Error, Mesh, as_mesh, check_number, is_path, parse_bytes, read_mesh
+from .mesh import (Error, Mesh, as_mesh, check_number, check_triangles, is_path, parse_amount, parse_bytes,
+                   parse_texels, read_mesh)
 
 #: Gets (stage, done, total, unit); total is 0 if it is unknown. An exception ends the job.
 Progress = Callable[[str, int, int, str], Any]
@@ -371,32 +372,54 @@ def voxelize(scan: Any, output: str | os.PathLike, *, resolution: int = 2048,
         return _plain(report)
 
 
-def simplify(scan: Any, output: str | os.PathLike | None = None, *, triangles: int | None = None,
-             error: float | None = None, min_component: float = 0, hard_angle: float = 180,
-             memory: int | str | None = None, threads: int = 0, tmpdir: Any = None,
-             progress: Progress | None = None) -> Mesh:
-    """Makes a low-poly mesh of a number of triangles, or with a largest distance from the scan.
+def _scan_size(job: Job, chunks: str) -> tuple[int, float]:
+    """Returns the triangles of a chunk file and the diagonal of their box."""
+    triangles, diagonal = ffi.new("uint64_t *"), ffi.new("double *")
+    job.run(lib.vox_scan_size, job.string(chunks), ffi.NULL, triangles, diagonal)
+    return triangles[0], diagonal[0]
 
-    output: an .obj or .ply file to write, too. min_component: pieces whose box has a smaller share
-    of the scan's diagonal are dropped. hard_angle: normals are smooth over edges up to that many
-    degrees. The mesh's `report` has the distances both ways. Raises Error."""
+
+def simplify(scan: Any, output: str | os.PathLike | None = None, *, triangles: int | str | None = None,
+             error: float | str | None = None, min_component: float | str = 0, min_triangles: int = 0,
+             hard_angle: float = 180, memory: int | str | None = None, threads: int = 0, tmpdir: Any = None,
+             progress: Progress | None = None) -> Mesh:
+    """Makes a low-poly mesh of a number of triangles (or "10%" of the scan's), or with a largest distance
+    from the scan, in its units (or "0.1%" of its diagonal).
+
+    output: an .obj or .ply file to write, too. min_component: pieces whose box has a smaller
+    percentage of the scan's diagonal are dropped; min_triangles: those of fewer triangles of the scan.
+    hard_angle: normals are smooth over edges up to that many degrees. The mesh's `report` has the
+    distances both ways. Warns of more triangles than asked for. Raises Error, ValueError."""
     if (triangles is None) == (error is None):
         raise ValueError("simplify: either triangles or error is needed")
+    target = 0 if triangles is None else check_triangles(triangles, 4)
+    least, of_diagonal = (0, False) if error is None else parse_amount("error", error)
+    component = parse_amount("min_component", str(min_component).removesuffix("%") + "%")[0]
     with Job(memory, threads, tmpdir, progress) as job:
         path = os.fspath(output) if output else job.temporary("low.ply")
         options = ffi.new("struct vox_simplify_options *")
         lib.vox_simplify_defaults(options)
-        options.tris_path = job.string(_chunks(job, scan))
+        chunks = _chunks(job, scan)
+        if isinstance(target, str) or of_diagonal:
+            of, diagonal = _scan_size(job, chunks)
+            least *= diagonal / 100 if of_diagonal else 1
+            if isinstance(target, str):
+                target = max(4, round(parse_amount("triangles", target)[0] / 100 * of))
+        options.tris_path = job.string(chunks)
         options.output_paths = job.strings([path])
-        options.targets = job.keep(ffi.new("uint64_t[]", [check_number("triangles", triangles or 0, 0, 2 ** 63)]))
+        options.targets = job.keep(ffi.new("uint64_t[]", [target]))
         options.target_count = triangles is not None
-        options.error = error or 0
-        options.min_component, options.hard_angle = min_component, hard_angle
+        options.error = least
+        options.min_component, options.hard_angle = component / 100, hard_angle
+        options.min_triangles = check_number("min_triangles", min_triangles, 0, 2 ** 63)
         report = _new_report("struct vox_simplify_report")
         job.run(lib.vox_simplify, options, report)
         mesh = read_mesh(path)
         mesh.report = _plain(report)
         mesh.report.update(mesh.report.pop("levels")[0])
+        if 0 < target < mesh.report["triangles"]:
+            job.warnings.append(f"{mesh.report['triangles']} triangles instead of {target}: each edge that is left "
+                                "would close a hole or join pieces")
         return mesh
 
 
@@ -530,7 +553,7 @@ def _arrays_of(job: Job) -> tuple[dict, dict]:
     return arrays, files
 
 
-def bake(high: Any, low: Any, maps: Sequence[str] = (), *, size: int | tuple[int, int] = 2048,
+def bake(high: Any, low: Any, maps: Sequence[str] = (), *, size: int | str | tuple = 2048,
          output: str | os.PathLike | None = None, format: str = "exr", glb: bool | str = False,
          memory: int | str | None = None, threads: int = 0, tmpdir: Any = None, arrays: bool = True,
          progress: Progress | None = None, tiles: Sequence[int] = (), **options: Any) -> Maps:
@@ -538,7 +561,7 @@ def bake(high: Any, low: Any, maps: Sequence[str] = (), *, size: int | tuple[int
     meshes give exact maps.
 
     maps: names such as "normal", "color", "ao"; others are channels of the scan, such as
-    "roughness"; (): what the scan has. size: texels, or (width, height). output: where files go,
+    "roughness"; (): what the scan has. size: texels, also "4k", or (width, height). output: where files go,
     such as "out/<MAP>.png"; without it, Maps.save() copies temporary ones of `format`, "exr" or
     "png"; None: there are no files. glb: also makes a GLB file, for Maps.glb() or at a path.
     arrays: False keeps no maps in memory. tiles: UDIM tiles to bake. All members of struct
@@ -555,8 +578,8 @@ def bake(high: Any, low: Any, maps: Sequence[str] = (), *, size: int | tuple[int
             o.scan_path = job.string(paths[0])
             o.more_scan_paths, o.more_scan_count = job.strings(paths[1:]), len(paths) - 1
             o.mesh_path = job.string(_low_path(job, low))
-            sides = (size, size) if np.ndim(size) == 0 else size
-            o.width, o.height = (check_number("size", side, 0, 2 ** 32 - 1) for side in sides)
+            sides = size if isinstance(size, (tuple, list)) else (size, size)
+            o.width, o.height = map(parse_texels, sides)
             o.rows_only = output is None and not format
             o.output_path = job.string(output or os.path.join(
                 folder or job.temporary(""), f"<MAP>.{format or 'exr'}"))

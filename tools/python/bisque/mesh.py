@@ -27,6 +27,20 @@ def parse_bytes(size: int | str | None) -> int:
     return int(found)
 
 
+def parse_amount(name: str, value: Any) -> tuple[float, bool]:
+    """Returns the number of an amount such as 5, "5" or "5%", and whether it is a percentage. Raises
+    ValueError, which names it."""
+    text = str(value).strip()
+    try:
+        number = float(text.removesuffix("%"))
+    except ValueError:
+        number = -1.0
+    percent = text.endswith("%")
+    if not 0 <= number < (100.000001 if percent else np.inf):
+        raise ValueError(f"{name}: a number such as 5, or a percentage such as 5%, is needed, not {value!r}")
+    return number, percent
+
+
 def parse_texels(size: int | str) -> int:
     """Returns the texels of a side, such as 4096 or "4k". Raises ValueError."""
     match = re.fullmatch(r"([0-9]+)(k?)", size.strip()) if isinstance(size, str) else None
@@ -44,6 +58,14 @@ def check_number(name: str, value: Any, least: int, most: int) -> int:
     if not least <= number <= most:
         raise ValueError(f"{name}: a number from {least} to {most} is needed, not {number}")
     return number
+
+
+def check_triangles(value: Any, least: int) -> int | str:
+    """Returns a number of triangles, of 20000, "20000" or "10%", which stays. Raises ValueError."""
+    number, percent = parse_amount("triangles", value)
+    if percent:
+        return value
+    return check_number("triangles", int(number) if number.is_integer() else value, least, 2 ** 32 - 1)
 
 
 @dataclass

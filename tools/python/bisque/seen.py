@@ -181,17 +181,18 @@ def _shade(glb: dict, maps: Sequence[str], t: np.ndarray, w: np.ndarray, job: di
     return found
 
 
-def compare_views(path: Path, chunks: str, reach: float, maps: Sequence[str], *,
+def compare_views(path: Path, chunks: str, reach: float, maps: Sequence[str], *, two_sided: bool = False,
                   progress: core.Progress | None = None, **job: Any) -> dict:
     """Compares a GLB file, as a viewer shows it, with its scan, as its triangles are, in views from all
     around, as if nothing were transparent. reach: the most that the scan is away from the mesh; maps: those of the
-    asset. Returns `normal_error` in degrees, `color_error` (CIEDE2000), and the errors of channels such as roughness,
-    if there are such maps, over the pixels that show both, and the share of those among all that show one,
-    `silhouette`. Temporary files are beside the GLB file."""
+    asset; two_sided: the scan's faces may look any way. Returns `normal_error` in degrees, `color_error` (CIEDE2000),
+    and the errors of channels such as roughness, if there are such maps, over the pixels that show both, and the share
+    of those among all that show one, `silhouette`. Temporary files are beside the GLB file."""
     folder = path.parent / "views"
     folder.mkdir(exist_ok=True)
     try:
-        return _compare_views(path, chunks, reach, [name for name in maps if name in ABSENT], folder, progress, job)
+        return _compare_views(path, chunks, reach, [name for name in maps if name in ABSENT], two_sided, folder,
+                              progress, job)
     except Error as error:
         if error.message.startswith(("no ray hit", "no texel is covered")):
             return {"silhouette": 0.0}  # no pixel shows both, as of a thread
@@ -200,7 +201,7 @@ def compare_views(path: Path, chunks: str, reach: float, maps: Sequence[str], *,
         core._remove(str(folder))
 
 
-def _compare_views(path: Path, chunks: str, reach: float, maps: list[str], folder: Path,
+def _compare_views(path: Path, chunks: str, reach: float, maps: list[str], two_sided: bool, folder: Path,
                    progress: core.Progress | None, job: dict) -> dict:
     with core.quiet():  # the bake has warned
         glb = read_glb(path, folder)
@@ -213,7 +214,7 @@ def _compare_views(path: Path, chunks: str, reach: float, maps: list[str], folde
         scan = core.bake(
             chunks, _atlas(axes, centre, half, distance), names + channels, size=(COLUMNS * SIDE, ROWS * SIDE), samples=1,
                   padding=0, front=0, back=2 * distance, normal_space="object", sample_type="float", as_is=True,
-            output=f"{folder}/scan_<MAP>.exr", progress=progress, **job)
+            two_sided=two_sided, output=f"{folder}/scan_<MAP>.exr", progress=progress, **job)
         drawn = [_draw(_project(glb["p"] - centre, view, half, distance)) for view in axes]
         shown, weights = (np.concatenate(part) for part in zip(*drawn))
         seen = np.flatnonzero(shown >= 0)

@@ -14,6 +14,7 @@ import bisque_start
 from . import programs
 from .core import Error, Job, Progress, bake, quiet
 from .mesh import Mesh, as_mesh
+from .repair import seams
 
 
 class UnwrapError(Error):
@@ -217,13 +218,19 @@ def unwrap(low: Any, *, size: int = 2048, padding: int = 4, library: str = USUAL
     """Gives a mesh texture coordinates in one square, with `padding` texels around each chart in maps
     of `size` texels, by "uvunwrap" or "xatlas". The mesh's report gets what check_uvs() finds, as
     "uv". Charts that the library mirrors are put right. If many have under 16 texels, they get more, and
-    the library runs again. Raises UnwrapError, with advice, if the
+    the library runs again. Edges over which normals differ by more than 20 degrees are seams. Raises
+    UnwrapError, with advice, if the
     library takes longer than `seconds`, fails, or lays charts over each other. Texels are as dense
     everywhere: neither library takes weights of faces."""
     mesh = as_mesh(low)
     if library not in LIBRARIES:
         raise ValueError(f"library: {library!r} is none of {', '.join(LIBRARIES)}")
+    corners = seams(mesh)
     shape: Mesh | None = mesh
+    if corners is not None:
+        vertex = np.empty(corners.max() + 1, np.int64)
+        vertex[corners] = mesh.faces
+        shape = Mesh(mesh.vertices[vertex], corners)
     for _ in range(MOST_RUNS):
         uvs = _run(shape, library, size, padding, seconds)
         shape = _enlarge_small(shape, uvs, size)
