@@ -3,6 +3,7 @@
 #include <float.h>
 #include <inttypes.h>
 #include <malloc.h>
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
