@@ -64,10 +64,8 @@ static int add_tile_size(struct cli *cli, struct bake_options *options,
     for (uint32_t i = 0; i < options->tile_size_count; i++)
         if (options->tile_sizes[i].tile == size->tile)
             return cli_usage(cli, "--size: tile %u is given twice", size->tile);
-    struct bake_tile_size *sizes = realloc((void *)(uintptr_t)options->tile_sizes,
-                                           (options->tile_size_count + 1) * sizeof *sizes);
-    if (!sizes)
-        return cli_usage(cli, "--size: out of memory");
+    struct bake_tile_size *sizes =
+        cli_extend(options->tile_sizes, options->tile_size_count, sizeof *sizes);
     sizes[options->tile_size_count++] = *size;
     options->tile_sizes = sizes;
     return 0;
@@ -133,10 +131,8 @@ static int parse_tiles(struct cli *cli, const char *text, struct bake_options *o
             return cli_usage(cli,
                              "--tiles: \"%s\" is not a list such as 1001-1003,1011 from %d to %d",
                              text, BAKE_FIRST_TILE, BAKE_LAST_TILE);
-        struct bake_tile_range *ranges = realloc((void *)(uintptr_t)options->tile_ranges,
-                                                 (options->tile_range_count + 1) * sizeof *ranges);
-        if (!ranges)
-            return cli_usage(cli, "--tiles: out of memory");
+        struct bake_tile_range *ranges =
+            cli_extend(options->tile_ranges, options->tile_range_count, sizeof *ranges);
         ranges[options->tile_range_count++] = range;
         options->tile_ranges = ranges;
     } while (bake_args_take(&at, ','));
@@ -145,19 +141,15 @@ static int parse_tiles(struct cli *cli, const char *text, struct bake_options *o
 
 /* ---- other options with a syntax of their own ---- */
 
-/* Parses "_low,_high". The texts live as long as the arguments. */
-static int parse_suffixes(struct cli *cli, struct bake_arguments *arguments, const char *text)
+/* Parses "_low,_high". */
+static int parse_suffixes(struct cli *cli, struct bake_options *options, const char *text)
 {
-    char *copy = strdup(text), *comma = copy ? strchr(copy, ',') : NULL;
-    free(arguments->suffixes);
-    arguments->suffixes = copy;
-    if (!copy)
-        return cli_usage(cli, "--match: out of memory");
+    char *copy = cli_keep_text("%s", text), *comma = strchr(copy, ',');
     if (!comma || strchr(comma + 1, ','))
         return cli_usage(cli, "--match: \"%s\" is not name or LOW,HIGH", text);
     *comma = '\0';
-    arguments->bake.low_suffix = copy;
-    arguments->bake.high_suffix = comma + 1;
+    options->low_suffix = copy;
+    options->high_suffix = comma + 1;
     return 0;
 }
 
@@ -194,7 +186,7 @@ static int bake_args_take_option(struct cli *cli, void *arg, const struct bsq_op
         return parse_tiles(cli, text, bake);
     if (strcmp(name, "match") == 0) {
         bake->match_names = true;
-        return strcmp(text, "name") == 0 ? 0 : parse_suffixes(cli, arguments, text);
+        return strcmp(text, "name") == 0 ? 0 : parse_suffixes(cli, bake, text);
     }
     if (strcmp(name, "device") == 0) {
         bake->device = text;
@@ -335,9 +327,7 @@ static int refuse_order(struct cli *cli, char *const *files)
 int bake_arguments_sort_inputs(struct cli *cli, struct bake_arguments *arguments)
 {
     const int count = arguments->file_count;
-    arguments->paths = calloc((size_t)count + 1, sizeof *arguments->paths);
-    if (!arguments->paths)
-        return bsq_fail(cli->ctx, BSQ_ENOMEM, "out of memory");
+    arguments->paths = cli_keep(((size_t)count + 1) * sizeof *arguments->paths);
     for (int i = 0; i < count; i++)
         if (strcmp(arguments->files[i], "-") == 0)
             return cli_usage(cli, "-: standard input is not read: scans and low-poly meshes must "
@@ -353,14 +343,4 @@ int bake_arguments_sort_inputs(struct cli *cli, struct bake_arguments *arguments
     const int meshes =
         scans < 0 ? scans : take_inputs(cli, arguments, false, arguments->paths + scans);
     return meshes < 0 ? meshes : use_inputs(cli, arguments, scans, meshes);
-}
-
-void bake_arguments_free(struct bake_arguments *arguments)
-{
-    bake_maps_free(arguments);
-    free(arguments->output);
-    free(arguments->paths);
-    free(arguments->suffixes);
-    free((void *)(uintptr_t)arguments->bake.tile_sizes);
-    free((void *)(uintptr_t)arguments->bake.tile_ranges);
 }

@@ -5,7 +5,7 @@
 #include "libbake/bake.h"
 #include "tools/cli.h"
 
-/* A list of transfer maps; the names are owned. */
+/* A list of transfer maps. */
 struct bake_transfers {
     struct bake_transfer *maps;
     uint32_t count;
@@ -16,20 +16,17 @@ struct bake_arguments {
     bool given[BAKE_MOST_OPTION_ROWS]; /* by rows of bake_option_rows() */
     struct bake_transfers transfers;
     struct bake_transfers textures; /* of --texture NAME=FILE */
-    struct bake_pack *packs;        /* their texts are owned */
-    char *channels;                 /* of the scans, for presets: ",roughness,metallic," */
-    char *output;                   /* made of the name of a folder; NULL: none */
+    struct bake_pack *packs;
+    const char *channels;   /* of the scans, for presets: ",roughness,metallic," */
     const char *new_folder; /* a folder that was made, and goes if it stays empty; or NULL */
     bool mask_opacity;      /* the mask is multiplied by the scan's opacity */
     bool list_devices, list_tiles;
     char **files; /* the inputs, as given */
     int file_count;
-    char *suffixes;     /* of names to match, with a zero between them; NULL: not given */
     const char **paths; /* the inputs: scans, then low-poly meshes */
 };
 
-/* Reads the command line. Free *arguments with bake_arguments_free(), also after a failure. Returns
- * what cli_parse() returns. */
+/* Reads the command line. Returns what cli_parse() returns. */
 int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int argc, char **argv);
 /* Applies the rules for paths to the inputs of the command line. */
 int bake_arguments_map_inputs(struct cli *cli, struct bake_arguments *arguments);
@@ -40,7 +37,6 @@ int bake_arguments_sort_inputs(struct cli *cli, struct bake_arguments *arguments
 struct cli_table bake_arguments_table(const struct bake_arguments *arguments);
 /* Completes the options by what the scans have, see bake_inspect(). */
 int bake_arguments_complete(struct cli *cli, struct bake_arguments *arguments);
-void bake_arguments_free(struct bake_arguments *arguments);
 
 /* ---- parts of these, for bake_arguments.c ---- */
 
@@ -50,6 +46,5 @@ int bake_maps_take(struct cli *cli, void *arg, const struct bsq_option *row, con
 int bake_maps_finish(struct cli *cli, struct bake_arguments *arguments);
 /* Prints the list of maps for --help. */
 void bake_maps_print(void);
-void bake_maps_free(struct bake_arguments *arguments);
 
 #endif

@@ -1,29 +1,17 @@
 /* bake_maps.c - the options --maps, --texture, --pack, --preset and --quality, and a folder as the
  * output. */
 #include <errno.h>
-#include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
-#include <unistd.h>
 
 #include "tools/bake_arguments.h"
 
 static const char transfer_prefix[] = "transfer:", opacity_word[] = "mask:opacity";
 
-static int add_transfer(struct cli *cli, struct bake_transfers *list, const char *name,
-                        size_t length, const char *path)
+static void add_transfer(struct bake_transfers *list, const char *name, const char *path)
 {
-    struct bake_transfer *grown =
-        realloc(list->maps, (list->count + UINT64_C(1)) * sizeof *list->maps);
-    char *copy = strndup(name, length);
-    if (grown)
-        list->maps = grown;
-    if (!grown || !copy) {
-        free(copy);
-        return cli_usage(cli, "out of memory");
-    }
-    grown[list->count++] = (struct bake_transfer){.name = copy, .texture_path = path};
-    return 0;
+    list->maps = cli_extend(list->maps, list->count, sizeof *list->maps);
+    list->maps[list->count++] = (struct bake_transfer){.name = name, .texture_path = path};
 }
 
 static struct bake_transfer *bake_maps_find_transfer(const struct bake_transfers *list,
@@ -71,18 +59,17 @@ static int parse_map(struct cli *cli, struct bake_arguments *arguments, const ch
         return refuse_map(cli, word);
     if (bake_maps_find_transfer(&arguments->transfers, word + prefix))
         return cli_usage(cli, "--maps: %s is named twice", word);
-    return add_transfer(cli, &arguments->transfers, word + prefix, strlen(word + prefix), NULL);
+    add_transfer(&arguments->transfers, word + prefix, NULL);
+    return 0;
 }
 
 static int parse_maps(struct cli *cli, struct bake_arguments *arguments, const char *text)
 {
-    char *list = strdup(text), *rest = list, *word;
-    int status = list ? 0 : cli_usage(cli, "--maps: out of memory");
+    char *rest = cli_keep_text("%s", text), *word;
     arguments->bake.maps = 0;
-    while (status == 0 && (word = strsep(&rest, ",")))
-        status = parse_map(cli, arguments, word);
-    free(list);
-    return status;
+    while ((word = strsep(&rest, ",")))
+        BSQ_PASS(parse_map(cli, arguments, word));
+    return 0;
 }
 
 void bake_maps_print(void)
@@ -103,7 +90,9 @@ static int parse_texture(struct cli *cli, struct bake_arguments *arguments, cons
     const char *equals = strchr(text, '=');
     if (!equals || equals == text || equals[1] == '\0')
         return cli_usage(cli, "--texture: \"%s\" is not NAME=FILE", text);
-    return add_transfer(cli, &arguments->textures, text, (size_t)(equals - text), equals + 1);
+    add_transfer(&arguments->textures, cli_keep_text("%.*s", (int)(equals - text), text),
+                 equals + 1);
+    return 0;
 }
 
 static void use_transfers(struct bake_arguments *arguments)
@@ -113,23 +102,22 @@ static void use_transfers(struct bake_arguments *arguments)
 }
 
 /* Makes opacity a part of the mask. */
-static int use_opacity(struct cli *cli, struct bake_transfers *list)
+static void use_opacity(struct bake_transfers *list)
 {
     static const char name[] = "opacity";
     const bool has_file = bake_maps_find_transfer(list, name) != NULL;
-    if (!has_file && add_transfer(cli, list, name, strlen(name), NULL) < 0)
-        return BSQ_EUSAGE;
+    if (!has_file)
+        add_transfer(list, name, NULL);
     struct bake_transfer *map = bake_maps_find_transfer(list, name);
     map->in_mask = true;
     map->no_file = !has_file;
-    return 0;
 }
 
 /* Gives the transfer maps their textures, and the options the maps. */
 static int finish_transfers(struct cli *cli, struct bake_arguments *arguments)
 {
-    if (arguments->mask_opacity && use_opacity(cli, &arguments->transfers) < 0)
-        return BSQ_EUSAGE;
+    if (arguments->mask_opacity)
+        use_opacity(&arguments->transfers);
     for (uint32_t i = 0; i < arguments->textures.count; i++) {
         const struct bake_transfer *texture = &arguments->textures.maps[i];
         struct bake_transfer *map = bake_maps_find_transfer(&arguments->transfers, texture->name);
@@ -144,36 +132,20 @@ static int finish_transfers(struct cli *cli, struct bake_arguments *arguments)
     return 0;
 }
 
-/* Where names of channels are added. */
-struct additions {
-    struct cli *cli;
-    struct bake_arguments *to;
-};
-
 /* Notes that the scans have a channel. */
-static int note_channel(struct cli *cli, struct bake_arguments *arguments, const char *name)
-{
-    char *old = arguments->channels;
-    if (asprintf(&arguments->channels, "%s%s,", old ? old : ",", name) < 0)
-        arguments->channels = NULL;
-    free(old);
-    return arguments->channels ? 0 : cli_usage(cli, "out of memory");
-}
-
 static int bake_maps_add_channel(void *arg, const char *name)
 {
-    const struct additions *added = (const struct additions *)arg;
-    struct bake_transfers *list = &added->to->transfers;
-    struct bake_transfer *map = bake_maps_find_transfer(list, name);
-    int status = note_channel(added->cli, added->to, name);
-    if (status < 0 || !(added->to->bake.maps & BAKE_MAPS_ALL))
-        return status;
+    struct bake_arguments *to = arg;
+    struct bake_transfer *map = bake_maps_find_transfer(&to->transfers, name);
+    to->channels = cli_keep_text("%s%s,", to->channels ? to->channels : ",", name);
+    if (!(to->bake.maps & BAKE_MAPS_ALL))
+        return 0;
     if (map)
         map->no_file = false;
     else
-        status = add_transfer(added->cli, list, name, strlen(name), NULL);
-    use_transfers(added->to);
-    return status;
+        add_transfer(&to->transfers, cli_keep_text("%s", name), NULL);
+    use_transfers(to);
+    return 0;
 }
 
 /* Replaces, in the packs of a preset, a channel that the scans do not have: as glTF has it, what
@@ -207,7 +179,6 @@ static bool is_in_pack(const struct bake_arguments *arguments, const char *name)
 static int fill_packs(struct cli *cli, struct bake_arguments *arguments)
 {
     struct bake_transfers *list = &arguments->transfers;
-    int status = 0;
     uint32_t kept = 0;
     for (uint32_t i = 0; i < list->count; i++) {
         const struct bake_transfer map = list->maps[i];
@@ -218,13 +189,11 @@ static int fill_packs(struct cli *cli, struct bake_arguments *arguments)
             list->maps[kept++] = map;
             continue;
         }
-        if (status == 0)
-            status = fill_pack(cli, arguments, map.name);
-        free((void *)(uintptr_t)map.name);
+        BSQ_PASS(fill_pack(cli, arguments, map.name));
     }
     list->count = kept;
     use_transfers(arguments);
-    return status;
+    return 0;
 }
 
 static void bake_maps_count_tile(void *arg, const struct bake_tile_info *tile)
@@ -267,14 +236,12 @@ static int name_in_folder(struct cli *cli, struct bake_arguments *arguments)
     const char *dot = strrchr(name, '.');
     const int stem =
         by_object ? 0 : (int)(dot && dot > name ? dot - name : (ptrdiff_t)strlen(name));
-    if (asprintf(&arguments->output, "%s%s%s%.*s_<MAP>%s.%s", path, slashed ? "" : "/",
-                 by_object ? BAKE_OBJECT_TOKEN : "", stem, name,
-                 tiles > 1 ? "." BAKE_UDIM_TOKEN : "", suffixes[bake->preset]) < 0)
-        arguments->output = NULL;
-    else
-        take_literally(arguments->output + length + !slashed, stem);
-    bake->output_path = arguments->output;
-    return arguments->output ? 0 : bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", path);
+    char *output = cli_keep_text("%s%s%s%.*s_<MAP>%s.%s", path, slashed ? "" : "/",
+                                 by_object ? BAKE_OBJECT_TOKEN : "", stem, name,
+                                 tiles > 1 ? "." BAKE_UDIM_TOKEN : "", suffixes[bake->preset]);
+    take_literally(output + length + !slashed, stem);
+    bake->output_path = output;
+    return 0;
 }
 
 int bake_arguments_complete(struct cli *cli, struct bake_arguments *arguments)
@@ -282,11 +249,11 @@ int bake_arguments_complete(struct cli *cli, struct bake_arguments *arguments)
     struct bake_options *bake = &arguments->bake;
     const struct cli_table table = bake_arguments_table(arguments);
     const bool fills = bake->preset > 0 && bake->pack_count > 0 && !cli_is_given(&table, "pack");
-    struct additions to = {cli, arguments};
     BSQ_PASS(name_in_folder(cli, arguments));
     BSQ_PASS(bake_check_options(cli->ctx, bake));
     BSQ_PASS(bake_inspect(cli->ctx, bake, arguments->given,
-                          fills || bake->maps & BAKE_MAPS_ALL ? bake_maps_add_channel : NULL, &to));
+                          fills || bake->maps & BAKE_MAPS_ALL ? bake_maps_add_channel : NULL,
+                          arguments));
     if (fills)
         BSQ_PASS(fill_packs(cli, arguments));
     return bake_check_options(cli->ctx, bake);
@@ -295,53 +262,41 @@ int bake_arguments_complete(struct cli *cli, struct bake_arguments *arguments)
 /* ---- packs, presets and quality ---- */
 
 /* Adds a word of a pack to the maps that are baked. */
-static int bake_maps_add_packed(struct cli *cli, struct bake_arguments *arguments, const char *word)
+static void bake_maps_add_packed(struct bake_arguments *arguments, const char *word)
 {
     const char *name = strncmp(word, "1-", 2) == 0 ? word + 2 : word;
     const uint32_t map = maps_of_word(name);
     if (strcmp(name, "0") == 0 || strcmp(name, "1") == 0 || *name == '\0')
-        return 0; /* bake_check_options() refuses what is no name */
+        return; /* bake_check_options() refuses what is no name */
     arguments->bake.maps |= map;
-    return map || bake_maps_find_transfer(&arguments->transfers, name)
-               ? 0
-               : add_transfer(cli, &arguments->transfers, name, strlen(name), NULL);
+    if (!map && !bake_maps_find_transfer(&arguments->transfers, name))
+        add_transfer(&arguments->transfers, name, NULL);
 }
 
 static int parse_pack(struct cli *cli, struct bake_arguments *arguments, const char *text)
 {
     struct bake_options *bake = &arguments->bake;
-    struct bake_pack *grown =
-        realloc(arguments->packs, (bake->pack_count + UINT64_C(1)) * sizeof *grown);
-    char *name = strdup(text), *equals = name ? strchr(name, '=') : NULL;
-    if (grown)
-        bake->packs = arguments->packs = grown;
-    if (!grown || !equals) {
-        free(name);
-        return cli_usage(
-            cli, grown && name ? "--pack: \"%s\" is not NAME=MAP,..." : "--pack %s: out of memory",
-            text);
-    }
+    char *name = cli_keep_text("%s", text), *equals = strchr(name, '=');
+    if (!equals)
+        return cli_usage(cli, "--pack: \"%s\" is not NAME=MAP,...", text);
     *equals = '\0';
-    grown[bake->pack_count++] = (struct bake_pack){name, equals + 1};
-    /* cppcheck-suppress memleak; the pack owns the name */
+    arguments->packs = cli_extend(arguments->packs, bake->pack_count, sizeof *arguments->packs);
+    arguments->packs[bake->pack_count++] = (struct bake_pack){name, equals + 1};
+    bake->packs = arguments->packs;
     return 0;
 }
 
 /* Bakes what packs show, beside the maps that are named or, without any, the default ones. */
-static int finish_packs(struct cli *cli, struct bake_arguments *arguments)
+static void finish_packs(struct bake_arguments *arguments)
 {
     const struct cli_table table = bake_arguments_table(arguments);
-    int status = 0;
     if (arguments->bake.pack_count > 0 && !cli_is_given(&table, "maps"))
         arguments->bake.maps = BAKE_MAPS_USUAL;
-    for (uint32_t i = 0; i < arguments->bake.pack_count && status == 0; i++) {
-        char *list = strdup(arguments->packs[i].maps), *rest = list, *word;
-        status = list ? 0 : cli_usage(cli, "--pack: out of memory");
-        while (status == 0 && (word = strsep(&rest, ",")))
-            status = bake_maps_add_packed(cli, arguments, word);
-        free(list);
+    for (uint32_t i = 0; i < arguments->bake.pack_count; i++) {
+        char *rest = cli_keep_text("%s", arguments->packs[i].maps), *word;
+        while ((word = strsep(&rest, ",")))
+            bake_maps_add_packed(arguments, word);
     }
-    return status;
 }
 
 /* What words of --quality and --preset stand for: values of other options that are not given. */
@@ -421,25 +376,6 @@ int bake_maps_take(struct cli *cli, void *arg, const struct bsq_option *row, con
 int bake_maps_finish(struct cli *cli, struct bake_arguments *arguments)
 {
     BSQ_PASS(apply_settings(cli, arguments));
-    BSQ_PASS(finish_packs(cli, arguments));
+    finish_packs(arguments);
     return finish_transfers(cli, arguments);
-}
-
-static void free_transfers(struct bake_transfers *list)
-{
-    for (uint32_t i = 0; i < list->count; i++)
-        free((void *)(uintptr_t)list->maps[i].name);
-    free(list->maps);
-}
-
-void bake_maps_free(struct bake_arguments *arguments)
-{
-    if (arguments->new_folder)
-        rmdir(arguments->new_folder); /* unless it has maps */
-    for (uint32_t i = 0; i < arguments->bake.pack_count && arguments->packs; i++)
-        free((void *)(uintptr_t)arguments->packs[i].name);
-    free(arguments->packs);
-    free(arguments->channels);
-    free_transfers(&arguments->transfers);
-    free_transfers(&arguments->textures);
 }

@@ -1,5 +1,7 @@
 /* bisque-bake.c - bakes a scan into texture maps of a low-poly mesh. */
 
+#include <unistd.h>
+
 #include "tools/bake_report.h"
 
 /* Sets *missed if the maps are written but more samples missed than is allowed. */
@@ -52,7 +54,8 @@ int main(int argc, char **argv)
     int status = bake_arguments_parse(&cli, &arguments, argc, argv);
     if (status == 0)
         status = bake_tool_work(&cli, &arguments, &missed);
-    bake_arguments_free(&arguments);
+    if (arguments.new_folder)
+        rmdir(arguments.new_folder); /* unless it has maps */
     int code = cli_end(&cli, status);
     return code ? code : missed;
 }

@@ -31,7 +31,7 @@ struct arguments {
     uint32_t min_triangles;
     uint64_t targets[VOX_LEVELS_MAX];
     const char *output;
-    char *paths[VOX_LEVELS_MAX];
+    const char *paths[VOX_LEVELS_MAX];
     struct cli_scans scans;
 };
 
@@ -172,13 +172,10 @@ static int name_outputs(struct cli *cli, struct arguments *arguments)
         char number[32] = "";
         if (token && arguments->simplify.target_count > 0)
             snprintf(number, sizeof number, "%" PRIu64, arguments->targets[i]);
-        if (asprintf(&arguments->paths[i], "%.*s%s%s", before, arguments->output, number,
-                     token ? token + 3 : "") < 0) {
-            arguments->paths[i] = NULL;
-            return bsq_fail_errno(cli->ctx, BSQ_ENOMEM, ENOMEM, "%s", arguments->output);
-        }
+        arguments->paths[i] =
+            cli_keep_text("%.*s%s%s", before, arguments->output, number, token ? token + 3 : "");
     }
-    arguments->simplify.output_paths = (const char *const *)arguments->paths;
+    arguments->simplify.output_paths = arguments->paths;
     return 0;
 }
 
@@ -348,9 +345,5 @@ int main(int argc, char **argv)
     if (status == 0)
         status = simplify_tool_run(&cli, &arguments, (const char **)argv + optind,
                                    (uint32_t)(argc - optind));
-    for (int i = 0; i < VOX_LEVELS_MAX; i++)
-        free(arguments.paths[i]);
-    free(arguments.scans.meshes);
-    free(arguments.scans.chunks);
     return cli_end(&cli, status);
 }

@@ -1,6 +1,4 @@
 /* bisque-voxelize.c - turns a scan into a chunk file and a voxel grid. */
-#include <errno.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "formats/material/tile_files.h"
@@ -36,37 +34,31 @@ static int note_images(struct bsq_ctx *ctx, const struct voxelize_arguments *arg
 }
 
 /* "out/scan.nvdb" gives "out/scan.tris". */
-static char *default_tris_path(const char *output)
+static const char *default_tris_path(const char *output)
 {
-    char *path = NULL;
     size_t length = strlen(output);
     if (cli_ends_with(output, ".nvdb"))
         length -= strlen(".nvdb");
-    if (asprintf(&path, "%.*s.tris", (int)length, output) < 0)
-        return NULL;
-    return path;
+    return cli_keep_text("%.*s.tris", (int)length, output);
 }
 
 /* Sets the path of the chunk file that the job writes. It is kept beside the grid, or by --tris. A
  * grid of chunk files and meshes has no such file without --tris: the file would have the meshes
  * only, under the name of the whole. */
-static int choose_tris_path(struct voxelize_job *job)
+static void choose_tris_path(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
     job->temporary_tris = job->scans.mesh_count > 0 &&
                           (arguments->no_tris || (job->scans.chunk_count > 0 && !arguments->tris));
     job->joins = job->scans.chunk_count > 0 && arguments->sort_only;
     if (arguments->sort_only)
-        job->tris_path = strdup(arguments->grid.grid_path);
+        job->tris_path = arguments->grid.grid_path;
     else if (job->scans.mesh_count == 0)
-        job->tris_path = strdup(arguments->inputs[0]);
+        job->tris_path = arguments->inputs[0];
     else if (arguments->tris)
-        job->tris_path = strdup(arguments->tris);
+        job->tris_path = arguments->tris;
     else
         job->tris_path = default_tris_path(arguments->grid.grid_path);
-    if (!job->tris_path)
-        return bsq_fail_errno(job->cli->ctx, BSQ_ENOMEM, ENOMEM, "%s", arguments->grid.grid_path);
-    return 0;
 }
 
 static int voxelize_tool_check_outputs(struct voxelize_job *job)
@@ -98,7 +90,7 @@ static int voxelize_tool_sort_scan(struct voxelize_job *job)
     struct voxelize_arguments *arguments = job->arguments;
     struct vox_sort_options *options = &arguments->sort;
     struct bsq_ctx *ctx = job->cli->ctx;
-    BSQ_PASS(voxelize_arguments_add_channels(job->cli, arguments));
+    voxelize_arguments_add_channels(arguments);
     options->tris_path = job->tris_path;
     options->temp_tris = job->temp_tris;
     options->keeps_tris = !job->temporary_tris;
@@ -140,22 +132,14 @@ static int join_parts(struct voxelize_job *job)
  * interruption. */
 static void tell_how_to_go_on(const struct voxelize_job *job)
 {
-    char *inputs = strdup(job->tris_path);
-    for (uint32_t i = 0; i < job->scans.chunk_count; i++) {
-        char *more = NULL;
-        if (inputs && asprintf(&more, "%s %s", inputs, job->scans.chunks[i]) < 0)
-            more = NULL;
-        free(inputs);
-        inputs = more;
-    }
-    if (inputs) {
-        bsq_clear_error(job->cli->ctx);
-        bsq_fail(job->cli->ctx, BSQ_EINTR,
-                 "interrupted; \"bisque-voxelize %s -o %s\" with the options of the grid goes on "
-                 "from there",
-                 inputs, job->arguments->grid.grid_path);
-    }
-    free(inputs);
+    const char *inputs = job->tris_path;
+    for (uint32_t i = 0; i < job->scans.chunk_count; i++)
+        inputs = cli_keep_text("%s %s", inputs, job->scans.chunks[i]);
+    bsq_clear_error(job->cli->ctx);
+    bsq_fail(job->cli->ctx, BSQ_EINTR,
+             "interrupted; \"bisque-voxelize %s -o %s\" with the options of the grid goes on from "
+             "there",
+             inputs, job->arguments->grid.grid_path);
 }
 
 static int do_work(struct voxelize_job *job)
@@ -168,7 +152,7 @@ static int do_work(struct voxelize_job *job)
     BSQ_PASS(check_memory(job->cli));
     if (arguments->grid.vdb_path)
         BSQ_PASS(vox_check_export(job->cli->ctx));
-    BSQ_PASS(choose_tris_path(job));
+    choose_tris_path(job);
     BSQ_PASS(voxelize_tool_check_outputs(job));
     BSQ_PASS(bsq_temp_check(job->cli->ctx, arguments->grid.grid_path));
     if (job->scans.mesh_count > 0 && (job->joins || !arguments->sort_only))
@@ -212,9 +196,5 @@ int main(int argc, char **argv)
     if (status == 0)
         status = voxelize_tool_run(&job);
     vox_temp_tris_close(job.temp_tris);
-    free(job.tris_path);
-    free(job.scans.meshes);
-    free(job.scans.chunks);
-    voxelize_arguments_free(&arguments);
     return cli_end(&cli, status);
 }

@@ -84,7 +84,7 @@ void cli_begin(struct cli *cli, const char *program, char **argv)
     *cli = (struct cli){.program = program};
     clock_gettime(CLOCK_MONOTONIC, &cli->started);
     cli->logged = cli->started;
-    argv[0] = (char *)program;
+    argv[0] = program_invocation_name = (char *)program;
     cli->command = json_array(); /* parsing changes the texts */
     for (; *argv; argv++)
         cli_json_append(&cli->command, cli_json_text(*argv));
@@ -93,6 +93,46 @@ void cli_begin(struct cli *cli, const char *program, char **argv)
      * program without a message and leave temporary files. */
     signal(SIGPIPE, SIG_IGN);
     signal(SIGXFSZ, SIG_IGN);
+}
+
+/* ---- memory that lives until the program ends ---- */
+
+static struct kept {
+    struct kept *next;
+    _Alignas(16) unsigned char bytes[];
+} * all_kept;
+
+void *cli_keep(size_t bytes)
+{
+    struct kept *block = calloc(1, sizeof *block + bytes);
+    if (!block) {
+        fprintf(stderr, "%s: out of memory\n", program_invocation_name);
+        exit(-BSQ_ENOMEM);
+    }
+    block->next = all_kept; /* so that a search for leaks finds it */
+    all_kept = block;
+    return block->bytes;
+}
+
+char *cli_keep_text(const char *format, ...)
+{
+    va_list arguments;
+    va_start(arguments, format);
+    const int length = vsnprintf(NULL, 0, format, arguments);
+    va_end(arguments);
+    char *text = cli_keep((size_t)length + 1);
+    va_start(arguments, format);
+    vsnprintf(text, (size_t)length + 1, format, arguments);
+    va_end(arguments);
+    return text;
+}
+
+void *cli_extend(const void *list, size_t count, size_t element_bytes)
+{
+    void *out = cli_keep((count + 1) * element_bytes);
+    if (count > 0)
+        memcpy(out, list, count * element_bytes);
+    return out;
 }
 
 /* ---- rules for paths: JSON, Open Job Description's pathmapping-1.0 ---- */
@@ -267,10 +307,8 @@ int cli_map_input(struct cli *cli, const char **path)
 int cli_recognise_scans(struct cli *cli, const char *const *paths, uint32_t count,
                         const char *advice, struct cli_scans *out)
 {
-    out->meshes = calloc(count, sizeof *out->meshes);
-    out->chunks = calloc(count, sizeof *out->chunks);
-    if (!out->meshes || !out->chunks)
-        return bsq_fail_errno(cli->ctx, BSQ_ENOMEM, ENOMEM, "%s", paths[0]);
+    out->meshes = cli_keep(count * sizeof *out->meshes);
+    out->chunks = cli_keep(count * sizeof *out->chunks);
     for (uint32_t i = 0; i < count; i++) {
         enum fmt_kind kind = FMT_KIND_MESH;
         BSQ_PASS(fmt_recognise(cli->ctx, paths[i], &kind));

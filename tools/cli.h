@@ -121,6 +121,15 @@ int cli_usage(struct cli *cli, const char *format, ...) __attribute__((format(pr
  * was written. Returns the exit code. */
 int cli_end(struct cli *cli, int status);
 
+/* ---- memory that lives until the program ends; without memory they end it ---- */
+
+/* Returns `bytes` of zeros. */
+void *cli_keep(size_t bytes);
+/* Returns a text as printf() prints it. */
+char *cli_keep_text(const char *format, ...) __attribute__((format(printf, 1, 2)));
+/* Returns a copy of a list with space for one more element, of zeros. */
+void *cli_extend(const void *list, size_t count, size_t element_bytes);
+
 /* ---- values of options; messages name `option` ---- */
 
 /* Sets the member of a row to the value of a text. */
@@ -138,7 +147,7 @@ bool cli_ends_with(const char *text, const char *ending);
 /* Checks that outputs can be created and are different files. Some may be NULL. */
 int cli_check_outputs(struct cli *cli, const char *const *paths, unsigned count);
 
-/* The inputs of a program that takes scans. Free both arrays. */
+/* The inputs of a program that takes scans. */
 struct cli_scans {
     const char **meshes, **chunks; /* mesh files, and chunk files */
     uint32_t mesh_count, chunk_count;

@@ -159,45 +159,25 @@ static int finish_placements(struct cli *cli, struct voxelize_arguments *a)
 }
 
 /* Makes a placement for each word of the command line: more than options or files. */
-static int begin_placements(struct cli *cli, struct voxelize_arguments *a, int words)
+static void begin_placements(struct voxelize_arguments *a, int words)
 {
-    a->placements = calloc((size_t)words, sizeof *a->placements);
-    if (!a->placements)
-        return cli_usage(cli, "no memory for the arguments");
+    a->placements = cli_keep((size_t)words * sizeof *a->placements);
     for (int i = 0; i < words; i++)
         a->placements[i].scale = 1;
-    return 0;
 }
 
 /* ---- channels ---- */
 
-/* Adds a name to the channels that the grid gets. */
-static int add_to_list(struct cli *cli, struct voxelize_arguments *arguments, const char *name)
-{
-    char *old = arguments->channel_list;
-    if (asprintf(&arguments->channel_list, "%s%s%s", old ? old : "", old ? "," : "", name) < 0)
-        arguments->channel_list = NULL;
-    free(old);
-    arguments->grid.channels = arguments->channel_list;
-    return arguments->channel_list ? 0 : cli_usage(cli, "no memory for the arguments");
-}
-
 /* Adds a channel to those of the chunk file. path: of its image, or NULL; optional: if the scan has
  * it. */
-static int scan_args_add_channel(struct cli *cli, struct voxelize_arguments *arguments,
-                                 const char *name, size_t length, const char *path, bool optional)
+static void scan_args_add_channel(struct voxelize_arguments *arguments, const char *name,
+                                  const char *path, bool optional)
 {
-    const size_t count = arguments->sort.channel_count;
-    struct vox_channel *grown = realloc(arguments->channels, (count + 1) * sizeof *grown);
-    char *copy = strndup(name, length);
-    if (grown)
-        arguments->sort.channels = arguments->channels = grown;
-    if (!grown || !copy) {
-        free(copy);
-        return cli_usage(cli, "no memory for the arguments");
-    }
-    grown[arguments->sort.channel_count++] = (struct vox_channel){copy, path, optional};
-    return 0;
+    struct vox_sort_options *sort = &arguments->sort;
+    arguments->channels =
+        cli_extend(arguments->channels, sort->channel_count, sizeof *arguments->channels);
+    arguments->channels[sort->channel_count++] = (struct vox_channel){name, path, optional};
+    sort->channels = arguments->channels;
 }
 
 static bool has_channel(const struct voxelize_arguments *arguments, const char *name)
@@ -216,17 +196,18 @@ static int parse_channel(struct cli *cli, struct voxelize_arguments *arguments, 
     arguments->grid.ids |= strcmp(word, "id") == 0;
     if (strcmp(word, "id") == 0 || strcmp(word, "all") == 0 || strcmp(word, "none") == 0)
         return 0;
-    if (scan_args_add_channel(cli, arguments, word, strcspn(word, "="), equals ? equals + 1 : NULL,
-                              false) < 0)
-        return BSQ_EUSAGE;
-    const char *name = arguments->channels[arguments->sort.channel_count - 1].name;
+    const char *name = cli_keep_text("%.*s", (int)strcspn(word, "="), word);
+    const char *list = arguments->grid.channels;
+    scan_args_add_channel(arguments, name, equals ? equals + 1 : NULL, false);
     if (!fmt_is_channel_name(name))
         return cli_usage(cli, "--channels: \"%s\" is not a channel", word);
     if (fmt_is_map_name(name))
         return cli_usage(cli, "--channels: \"%s\": there is a map of this name", word);
     if (equals && equals[1] == '\0')
         return cli_usage(cli, "--channels: \"%s\" names no file", word);
-    return strcmp(name, FMT_CHANNEL_NORMAL_MAP) == 0 ? 0 : add_to_list(cli, arguments, name);
+    if (strcmp(name, FMT_CHANNEL_NORMAL_MAP) != 0)
+        arguments->grid.channels = cli_keep_text("%s%s%s", list ? list : "", list ? "," : "", name);
+    return 0;
 }
 
 static bool keeps_normal_map(const struct voxelize_arguments *arguments)
@@ -260,18 +241,16 @@ static int scan_args_take_option(struct cli *cli, void *arg, const struct bsq_op
     return 0;
 }
 
-int voxelize_arguments_add_channels(struct cli *cli, struct voxelize_arguments *arguments)
+void voxelize_arguments_add_channels(struct voxelize_arguments *arguments)
 {
-    static const char name[] = FMT_CHANNEL_NORMAL_MAP;
     const char *path = arguments->grid.scan_normal_map;
     if (path)
-        BSQ_PASS(scan_args_add_channel(cli, arguments, name, strlen(name), path, false));
+        scan_args_add_channel(arguments, FMT_CHANNEL_NORMAL_MAP, path, false);
     for (unsigned i = 0; arguments->all_channels && fmt_channel_at(i); i++) {
         const char *any = fmt_channel_at(i)->name;
         if (!has_channel(arguments, any))
-            BSQ_PASS(scan_args_add_channel(cli, arguments, any, strlen(any), NULL, true));
+            scan_args_add_channel(arguments, any, NULL, true);
     }
-    return 0;
 }
 
 /* ---- all of them ---- */
@@ -360,9 +339,8 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
     vox_sort_defaults(&arguments->sort);
     vox_voxelize_defaults(&arguments->grid);
     arguments->sort.ids = VOX_IDS_MATERIAL;
-    int status = begin_placements(cli, arguments, argc);
-    if (status == 0)
-        status = cli_parse(cli, &command, argc, argv);
+    begin_placements(arguments, argc);
+    const int status = cli_parse(cli, &command, argc, argv);
     arguments->inputs = (const char *const *)argv + optind;
     arguments->input_count = (uint32_t)(argc - optind);
     arguments->sort_only =
@@ -390,13 +368,4 @@ int voxelize_arguments_map_inputs(struct cli *cli, struct voxelize_arguments *ar
     for (uint32_t i = 0; i < arguments->input_count; i++)
         BSQ_PASS(cli_map_input(cli, &inputs[i]));
     return 0;
-}
-
-void voxelize_arguments_free(struct voxelize_arguments *arguments)
-{
-    for (uint32_t i = 0; i < arguments->sort.channel_count; i++)
-        free((void *)(uintptr_t)arguments->channels[i].name);
-    free(arguments->channels);
-    free(arguments->channel_list);
-    free(arguments->placements);
 }

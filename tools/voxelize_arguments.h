@@ -16,8 +16,7 @@ struct voxelize_arguments {
     const char *tris;
     bool no_tris, parse_only, info;
     bool sort_only;                     /* the output is a chunk file: no grid is made */
-    struct vox_channel *channels;       /* those of sort; the names are owned */
-    char *channel_list;                 /* those of grid */
+    struct vox_channel *channels;       /* those of sort */
     bool all_channels;                  /* keep all that the materials have */
     struct bsq_placement *placements;   /* those of sort */
     uint32_t scales, ups, translations; /* how often these options were given */
@@ -38,9 +37,6 @@ int voxelize_arguments_check_part(struct cli *cli, const struct voxelize_argumen
 
 /* Adds the image of --scan-normal-map to the channels of the chunk file and, with --channels all,
  * what materials can have. */
-int voxelize_arguments_add_channels(struct cli *cli, struct voxelize_arguments *arguments);
-
-/* Frees what parsing allocated. */
-void voxelize_arguments_free(struct voxelize_arguments *arguments);
+void voxelize_arguments_add_channels(struct voxelize_arguments *arguments);
 
 #endif

@@ -7,8 +7,8 @@
 struct voxelize_job {
     struct cli *cli;
     struct voxelize_arguments *arguments;
-    struct cli_scans scans;          /* the inputs; owned */
-    char *tris_path;                 /* of the chunk file; owned */
+    struct cli_scans scans;          /* the inputs */
+    const char *tris_path;           /* of the chunk file */
     bool temporary_tris;             /* the sorted meshes are temporary: no file has them alone */
     bool joins;                      /* chunk files become one, at tris_path */
     struct vox_temp_tris *temp_tris; /* the chunk file that this job writes, or NULL; owned */
