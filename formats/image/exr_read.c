@@ -19,11 +19,12 @@
 enum { UNPACKING_BYTES = 64 << 10 }; /* zlib needs at least this memory to unpack */
 enum { MOST_TILE_SIDE = 8192 };      /* of tiles that are read one by one */
 
-struct reader {
+/* A file that is read. */
+struct fmt_exr_rows {
     struct fmt_exr_stream stream; /* first: OpenEXR's user data */
     const struct bsq_file *input;
     exr_context_t file;
-    struct fmt_exr_image *image;
+    struct fmt_exr_image image; /* without samples */
     exr_attr_box2i_t window;
     bool tiled;
     uint32_t pixel_bytes; /* of all channels */
@@ -36,19 +37,14 @@ struct reader {
     unsigned workers;
     bool *ready;
     uint64_t reserved_bytes;
+    uint32_t next; /* row */
+    uint32_t side; /* of tiles; 0: there are none, or they are no squares */
 };
 
 /* Where unpack_chunk() writes a chunk's samples. */
 struct target {
-    const struct reader *reader;
+    const struct fmt_exr_rows *reader;
     float *samples;
-};
-
-struct fmt_exr_rows {
-    struct reader reader;
-    struct fmt_exr_image image;
-    uint32_t next; /* row */
-    uint32_t side; /* of tiles; 0: there are none, or they are no squares */
 };
 
 /* ---- errors ---- */
@@ -108,7 +104,7 @@ static int64_t exr_in_read_bytes(exr_const_context_t file, void *user, void *buf
 {
     (void)file;
     (void)on_error;
-    struct reader *reader = user;
+    struct fmt_exr_rows *reader = user;
     uint64_t got;
     int status = bsq_file_read_some(reader->stream.ctx, reader->input, buffer, size, offset, &got);
     fmt_exr_set_status(&reader->stream, status);
@@ -118,19 +114,19 @@ static int64_t exr_in_read_bytes(exr_const_context_t file, void *user, void *buf
 static int64_t file_size(exr_const_context_t file, void *user)
 {
     (void)file;
-    return (int64_t)((struct reader *)user)->input->size;
+    return (int64_t)((struct fmt_exr_rows *)user)->input->size;
 }
 
-static int refuse(const struct reader *reader, const char *why)
+static int refuse(const struct fmt_exr_rows *reader, const char *why)
 {
     return bsq_fail(reader->stream.ctx, BSQ_EDATA, "%s: %s", reader->stream.path, why);
 }
 
 /* ---- header ---- */
 
-static int read_layout(struct reader *reader)
+static int read_layout(struct fmt_exr_rows *reader)
 {
-    struct fmt_exr_image *image = reader->image;
+    struct fmt_exr_image *image = &reader->image;
     exr_storage_t storage;
     exr_result_t r = exr_get_storage(reader->file, 0, &storage);
     if (r == EXR_ERR_SUCCESS)
@@ -165,10 +161,10 @@ static int read_layout(struct reader *reader)
     return 0;
 }
 
-static int exr_in_read_channels(struct reader *reader)
+static int exr_in_read_channels(struct fmt_exr_rows *reader)
 {
     struct bsq_ctx *ctx = reader->stream.ctx;
-    struct fmt_exr_image *image = reader->image;
+    struct fmt_exr_image *image = &reader->image;
     const exr_attr_chlist_t *list;
     BSQ_PASS(fmt_exr_status(&reader->stream, exr_get_channels(reader->file, 0, &list)));
     if (list->num_channels < 1)
@@ -188,10 +184,10 @@ static int exr_in_read_channels(struct reader *reader)
     return 0;
 }
 
-static int exr_in_read_attributes(struct reader *reader)
+static int exr_in_read_attributes(struct fmt_exr_rows *reader)
 {
     struct bsq_ctx *ctx = reader->stream.ctx;
-    struct fmt_exr_image *image = reader->image;
+    struct fmt_exr_image *image = &reader->image;
     int32_t count;
     BSQ_PASS(fmt_exr_status(&reader->stream, exr_get_attribute_count(reader->file, 0, &count)));
     if (count > 0)
@@ -212,7 +208,7 @@ static int exr_in_read_attributes(struct reader *reader)
 
 /* ---- chunks ---- */
 
-static exr_result_t chunk_info(const struct reader *reader, uint32_t column, uint32_t row,
+static exr_result_t chunk_info(const struct fmt_exr_rows *reader, uint32_t column, uint32_t row,
                                exr_chunk_info_t *info)
 {
     if (reader->tiled)
@@ -248,7 +244,7 @@ static void unpack_line(const exr_coding_channel_info_t *channel, const uint8_t 
 static exr_result_t unpack_chunk(exr_decode_pipeline_t *decoder)
 {
     const struct target *target = decoder->decoding_user_data;
-    const struct reader *reader = target->reader;
+    const struct fmt_exr_rows *reader = target->reader;
     const size_t line = (size_t)reader->across * reader->kept;
     uint32_t width = (uint32_t)decoder->chunk.width, height = (uint32_t)decoder->chunk.height;
     const uint8_t *in = decoder->unpacked_buffer;
@@ -268,7 +264,7 @@ static exr_result_t unpack_chunk(exr_decode_pipeline_t *decoder)
 /* Decodes a chunk. OpenEXR returns the same result for a damaged chunk and for memory that ran out.
  * So this tries to allocate before it blames the file. `probe` is volatile, or a compiler may
  * remove the attempt. */
-static exr_result_t run_decoder(struct reader *reader, exr_decode_pipeline_t *decoder)
+static exr_result_t run_decoder(struct fmt_exr_rows *reader, exr_decode_pipeline_t *decoder)
 {
     exr_result_t r = exr_decoding_run(reader->file, 0, decoder);
     if (r != EXR_ERR_CORRUPT_CHUNK)
@@ -280,8 +276,8 @@ static exr_result_t run_decoder(struct reader *reader, exr_decode_pipeline_t *de
 
 static int decode_chunk(void *arg, uint64_t index, unsigned worker)
 {
-    struct reader *reader = arg;
-    const struct fmt_exr_image *image = reader->image;
+    struct fmt_exr_rows *reader = arg;
+    const struct fmt_exr_image *image = &reader->image;
     exr_decode_pipeline_t *decoder = &reader->decoders[worker];
     uint32_t column = (uint32_t)(index % reader->chunks_across);
     uint32_t row = (uint32_t)(index / reader->chunks_across);
@@ -324,7 +320,7 @@ static int decode_chunk(void *arg, uint64_t index, unsigned worker)
 /* ---- the file ---- */
 
 /* Allocates a decoder for each worker, and room for samples. */
-static int exr_in_allocate(struct reader *reader, uint32_t across, uint32_t lines)
+static int exr_in_allocate(struct fmt_exr_rows *reader, uint32_t across, uint32_t lines)
 {
     struct bsq_ctx *ctx = reader->stream.ctx;
     const unsigned workers = reader->workers;
@@ -344,7 +340,7 @@ static int exr_in_allocate(struct reader *reader, uint32_t across, uint32_t line
                      &reader->samples);
 }
 
-static int exr_in_read_header(struct reader *reader, bool by_rows)
+static int exr_in_read_header(struct fmt_exr_rows *reader, bool by_rows)
 {
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
     init.error_handler_fn = exr_in_describe_failure;
@@ -360,16 +356,12 @@ static int exr_in_read_header(struct reader *reader, bool by_rows)
     if (by_rows && (packing == EXR_COMPRESSION_DWAA || packing == EXR_COMPRESSION_DWAB))
         return BSQ_RETRY;
     BSQ_PASS(read_layout(reader));
-    return exr_in_read_channels(reader);
-}
-
-static int allocate_places(struct reader *reader)
-{
-    return BSQ_ALLOC(reader->stream.ctx, "EXR channels", reader->image->channel_count,
+    BSQ_PASS(exr_in_read_channels(reader));
+    return BSQ_ALLOC(reader->stream.ctx, "EXR channels", reader->image.channel_count,
                      &reader->places);
 }
 
-static void close_reader(struct reader *reader)
+static void close_reader(struct fmt_exr_rows *reader)
 {
     struct bsq_ctx *ctx = reader->stream.ctx;
     for (unsigned w = 0; reader->ready && w < reader->workers; ++w)
@@ -379,41 +371,39 @@ static void close_reader(struct reader *reader)
         exr_finish(&reader->file);
     BSQ_FREE(ctx, reader->decoders, reader->ready, reader->places, reader->samples);
     bsq_release(ctx, reader->reserved_bytes);
+    fmt_exr_image_free(ctx, &reader->image);
 }
 
-static int read_image(struct reader *reader)
+static int read_image(struct fmt_exr_rows *reader)
 {
-    struct fmt_exr_image *image = reader->image;
+    struct fmt_exr_image *image = &reader->image;
     BSQ_PASS(exr_in_read_header(reader, false));
     BSQ_PASS(exr_in_read_attributes(reader));
-    BSQ_PASS(allocate_places(reader));
     for (uint32_t c = 0; c < image->channel_count; ++c)
         reader->places[c] = c;
     reader->kept = image->channel_count;
     BSQ_PASS(exr_in_allocate(reader, image->width, image->height));
-    BSQ_PASS(bsq_parallel_for(reader->stream.ctx,
-                              (uint64_t)reader->chunks_across * reader->chunks_down, decode_chunk,
-                              reader));
-    image->samples = reader->samples;
-    reader->samples = NULL;
-    return 0;
+    return bsq_parallel_for(reader->stream.ctx,
+                            (uint64_t)reader->chunks_across * reader->chunks_down, decode_chunk,
+                            reader);
 }
 
 int fmt_exr_read(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *out)
 {
+    struct bsq_file input;
+    struct fmt_exr_rows reader = {
+        .stream = {.ctx = ctx, .path = path}, .input = &input, .workers = bsq_threads(ctx)};
     memset(out, 0, sizeof *out);
-    struct bsq_file input = BSQ_FILE_CLOSED;
-    struct reader reader = {.stream = {.ctx = ctx, .path = path},
-                            .input = &input,
-                            .image = out,
-                            .workers = bsq_threads(ctx)};
-    int status = bsq_file_open(ctx, path, &input);
-    if (status == 0)
-        status = read_image(&reader);
+    BSQ_PASS(bsq_file_open(ctx, path, &input));
+    const int status = read_image(&reader);
+    if (status == 0) {
+        *out = reader.image;
+        out->samples = reader.samples;
+        reader.image = (struct fmt_exr_image){0};
+        reader.samples = NULL;
+    }
     close_reader(&reader);
     bsq_file_close(ctx, &input);
-    if (status < 0)
-        fmt_exr_image_free(ctx, out);
     return status;
 }
 
@@ -455,9 +445,9 @@ static uint32_t find_layer(const struct fmt_exr_image *image)
 }
 
 /* Keeps red, green, blue, or the one channel of another layer, and the alpha after them. */
-static void exr_in_choose_channels(struct reader *reader)
+static void exr_in_choose_channels(struct fmt_exr_rows *reader)
 {
-    const struct fmt_exr_image *image = reader->image;
+    const struct fmt_exr_image *image = &reader->image;
     const uint32_t layer = find_layer(image);
     const uint32_t rgb[] = {find_in_layer(image, layer, "R", "Red"),
                             find_in_layer(image, layer, "G", "Green"),
@@ -475,9 +465,9 @@ static void exr_in_choose_channels(struct reader *reader)
 }
 
 /* Returns the lines of the largest row of chunks. */
-static uint32_t row_height(const struct reader *reader)
+static uint32_t row_height(const struct fmt_exr_rows *reader)
 {
-    const uint32_t height = reader->image->height;
+    const uint32_t height = reader->image.height;
     return reader->chunk_height < height ? reader->chunk_height : height;
 }
 
@@ -485,14 +475,11 @@ static uint32_t row_height(const struct reader *reader)
 static int open_rows(struct bsq_ctx *ctx, const char *path, const struct bsq_file *input,
                      bool colors, struct fmt_exr_rows **out)
 {
-    struct fmt_exr_rows *rows;
     *out = NULL;
-    BSQ_PASS(BSQ_CALLOC(ctx, "an EXR decoder", 1, &rows));
-    *out = rows;
-    rows->reader = (struct reader){
-        .stream = {.ctx = ctx, .path = path}, .input = input, .image = &rows->image, .workers = 1};
-    BSQ_PASS(exr_in_read_header(&rows->reader, colors));
-    return allocate_places(&rows->reader);
+    BSQ_PASS(BSQ_CALLOC(ctx, "an EXR decoder", 1, out));
+    **out =
+        (struct fmt_exr_rows){.stream = {.ctx = ctx, .path = path}, .input = input, .workers = 1};
+    return exr_in_read_header(*out, colors);
 }
 
 int fmt_exr_rows_open(struct bsq_ctx *ctx, const char *path, const struct bsq_file *input,
@@ -500,21 +487,20 @@ int fmt_exr_rows_open(struct bsq_ctx *ctx, const char *path, const struct bsq_fi
 {
     BSQ_PASS(open_rows(ctx, path, input, true, out));
     struct fmt_exr_rows *rows = *out;
-    exr_in_choose_channels(&rows->reader);
-    BSQ_PASS(exr_in_allocate(&rows->reader, rows->image.width, row_height(&rows->reader)));
-    *size = (struct fmt_exr_size){rows->image.width, rows->image.height, rows->reader.kept};
+    exr_in_choose_channels(rows);
+    BSQ_PASS(exr_in_allocate(rows, rows->image.width, row_height(rows)));
+    *size = (struct fmt_exr_size){rows->image.width, rows->image.height, rows->kept};
     return 0;
 }
 
 int fmt_exr_rows_read(struct fmt_exr_rows *rows, float *out)
 {
-    struct reader *reader = &rows->reader;
-    const size_t line = (size_t)rows->image.width * reader->kept;
-    const uint32_t row = rows->next / reader->chunk_height, y = rows->next % reader->chunk_height;
-    reader->first_row = row;
-    for (uint32_t column = 0; y == 0 && column < reader->chunks_across; ++column)
-        BSQ_PASS(decode_chunk(reader, (uint64_t)row * reader->chunks_across + column, 0));
-    memcpy(out, reader->samples + y * line, line * sizeof *out);
+    const size_t line = (size_t)rows->image.width * rows->kept;
+    const uint32_t row = rows->next / rows->chunk_height, y = rows->next % rows->chunk_height;
+    rows->first_row = row;
+    for (uint32_t column = 0; y == 0 && column < rows->chunks_across; ++column)
+        BSQ_PASS(decode_chunk(rows, (uint64_t)row * rows->chunks_across + column, 0));
+    memcpy(out, rows->samples + y * line, line * sizeof *out);
     rows->next++;
     return 0;
 }
@@ -522,9 +508,10 @@ int fmt_exr_rows_read(struct fmt_exr_rows *rows, float *out)
 /* ---- tiles ---- */
 
 /* Finds the place of each channel among those that the caller names. */
-static int exr_in_name_channels(struct reader *reader, const char *const *channels, uint32_t count)
+static int exr_in_name_channels(struct fmt_exr_rows *reader, const char *const *channels,
+                                uint32_t count)
 {
-    const struct fmt_exr_image *image = reader->image;
+    const struct fmt_exr_image *image = &reader->image;
     if (image->channel_count != count)
         return refuse(reader, "it has other channels");
     for (uint32_t i = 0; i < count; ++i) {
@@ -540,29 +527,27 @@ static int exr_in_name_channels(struct reader *reader, const char *const *channe
 /* Finds the side of tiles: chunks of an image that is smaller than a tile are smaller, too. */
 static int exr_in_find_side(struct fmt_exr_rows *rows)
 {
-    const struct reader *reader = &rows->reader;
     uint32_t width = 0, height = 0;
     exr_tile_level_mode_t levels;
     exr_tile_round_mode_t rounding;
-    if (!reader->tiled)
+    if (!rows->tiled)
         return 0;
-    const int status =
-        fmt_exr_status(&reader->stream, exr_get_tile_descriptor(reader->file, 0, &width, &height,
-                                                                &levels, &rounding));
+    BSQ_PASS(fmt_exr_status(&rows->stream, exr_get_tile_descriptor(rows->file, 0, &width, &height,
+                                                                   &levels, &rounding)));
     rows->side = width == height && width <= MOST_TILE_SIDE ? width : 0;
-    return status;
+    return 0;
 }
 
 int fmt_exr_tiles_open(struct bsq_ctx *ctx, const char *path, const struct bsq_file *input,
                        const char *const *channels, uint32_t count, struct fmt_exr_rows **out)
 {
     BSQ_PASS(open_rows(ctx, path, input, false, out));
-    struct reader *reader = &(*out)->reader;
-    BSQ_PASS(exr_in_read_attributes(reader));
-    BSQ_PASS(exr_in_name_channels(reader, channels, count));
-    BSQ_PASS(exr_in_find_side(*out));
-    const uint32_t across = (*out)->side > 0 ? (*out)->side : reader->chunk_width;
-    return exr_in_allocate(reader, across, row_height(reader));
+    struct fmt_exr_rows *rows = *out;
+    BSQ_PASS(exr_in_read_attributes(rows));
+    BSQ_PASS(exr_in_name_channels(rows, channels, count));
+    BSQ_PASS(exr_in_find_side(rows));
+    const uint32_t across = rows->side > 0 ? rows->side : rows->chunk_width;
+    return exr_in_allocate(rows, across, row_height(rows));
 }
 
 const struct fmt_exr_image *fmt_exr_rows_image(const struct fmt_exr_rows *rows)
@@ -578,21 +563,18 @@ uint32_t fmt_exr_tile_side(const struct fmt_exr_rows *rows)
 int fmt_exr_tile_read(struct fmt_exr_rows *rows, uint32_t column, uint32_t row,
                       const float **samples)
 {
-    struct reader *reader = &rows->reader;
-    reader->first_row = row;
-    reader->first_column = column;
-    *samples = reader->samples;
-    return decode_chunk(reader, (uint64_t)row * reader->chunks_across + column, 0);
+    rows->first_row = row;
+    rows->first_column = column;
+    *samples = rows->samples;
+    return decode_chunk(rows, (uint64_t)row * rows->chunks_across + column, 0);
 }
 
 void fmt_exr_rows_close(struct fmt_exr_rows *rows)
 {
     if (!rows)
         return;
-    struct bsq_ctx *ctx = rows->reader.stream.ctx;
-    close_reader(&rows->reader);
-    fmt_exr_image_free(ctx, &rows->image);
-    bsq_free(ctx, rows);
+    close_reader(rows);
+    bsq_free(rows->stream.ctx, rows);
 }
 
 /* ---- the image ---- */
