@@ -8,8 +8,10 @@ $(BUILD)/tests/baseline-embree: $(BUILD)/obj/tests/bench/baseline_embree.c.o
 	@mkdir -p $(@D)
 	$(CC) $(common) -o $@ $^ -lembree3
 rays_archives := $(archive.libbake) $(archive.formats) $(archive.base)
-$(BUILD)/tests/bench-maps: $(patsubst %,$(BUILD)/obj/tests/bench/%.c.o,maps rays_scene \
-    rays_embree) $(rays_archives) \
+rays_bins := $(addprefix $(BUILD)/tests/,bench-maps bench-exact-rays)
+$(BUILD)/tests/bench-maps: $(BUILD)/obj/tests/bench/maps.c.o
+$(BUILD)/tests/bench-exact-rays: $(BUILD)/obj/tests/bench/exact_rays.c.o
+$(rays_bins): $(patsubst %,$(BUILD)/obj/tests/bench/%.c.o,rays_scene rays_embree) $(rays_archives) \
     | $(helpers) $(BUILD)/tests/lib
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all) -lembree3
@@ -25,7 +27,7 @@ bench: deps
 .PHONY: bench-maps
 ## bench-maps: compare the cost of maps, and secondary rays with Embree, BENCH=small or medium (default)
 bench-maps: deps
-	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(BUILD)/tests/bench-maps >&2
+	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(rays_bins) >&2
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/maps.sh $(BENCH)
 
 .PHONY: bench-accuracy
