@@ -113,9 +113,7 @@ def test_numbers_of_numpy_are_numbers(tmp_path):
 
 
 def test_a_texture_in_memory_is_told(tmp_path):
-    trimesh = pytest.importorskip("trimesh")
-    visual = trimesh.visual.TextureVisuals(uv=UVS, image=None)
-    mesh = trimesh.Trimesh(POINTS, FACES, process=False, visual=visual)
+    mesh = types.SimpleNamespace(vertices=POINTS, triangles=FACES, vertex_colors=[], textures=["an image of Open3D"])
     with pytest.warns(UserWarning, match="texture are not read"):
         bisque.sort(mesh, tmp_path / "out.tris")
 
@@ -152,3 +150,59 @@ def test_indices_from_the_end_are_those_of_their_line(tmp_path):
     path = tmp_path / "a.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 5 0 0\nv 6 0 0\nv 5 1 0\nf -3 -2 -1\n")
     assert bisque.mesh.read_mesh(str(path)).faces.tolist() == [[0, 1, 2], [3, 4, 5]]
+
+
+def test_names_that_are_nearly_maps_are_told(scan, low):
+    with pytest.raises(ValueError, match="no map 'normals'; the nearest is 'normal'"):
+        bisque.bake(scan, low, ("normals",), size=16)
+    with pytest.raises(bisque.Error, match="normals"):  # a channel, which the scan has not
+        bisque.bake(scan, low, ("transfer:normals",), size=16)
+
+
+def test_saved_png_files_are_those_of_a_bake(scan, low, tmp_path):
+    from PIL import Image
+
+    vertices, faces = scan
+    colored = bisque.Mesh(vertices, faces, colors=(vertices - vertices.min()) / np.ptp(vertices))
+    names = ("normal", "color", "mask", "ao")
+    maps, baked = (bisque.bake(colored, low, names, size=64, format=kind) for kind in ("exr", "png"))
+    saved = maps.save(tmp_path / "x_<MAP>.png")
+    assert saved == [str(tmp_path / f"x_{name}.png") for name in maps.files]
+    baked.save(tmp_path / "y_<MAP>.png")
+    for name in names:
+        a, b = (Image.open(tmp_path / f"{kind}_{name}.png") for kind in "xy")
+        assert a.mode == b.mode and np.abs(np.asarray(a, int) - np.asarray(b, int)).max() <= 1, name
+        depth, kind = ((tmp_path / f"{of}_{name}.png").read_bytes()[24:26] for of in "xy")
+        assert depth == kind, name
+    with pytest.raises(ValueError, match="map height was baked as exr"):
+        bisque.bake(scan, low, ("normal", "height"), size=16).save(tmp_path / "z_<MAP>.png")
+    assert not list(tmp_path.glob("z_*"))
+    with pytest.raises(ValueError, match="was baked as png"):
+        baked.save(tmp_path / "y_<MAP>.exr")
+
+
+def test_a_trimesh_brings_its_texture(scan, low, tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    from PIL import Image
+
+    vertices, faces = scan
+    image = Image.fromarray(np.random.default_rng(2).integers(0, 255, (8, 8, 3), dtype=np.uint8), "RGB")
+    uv = (vertices[:, :2] + 1.1) / 2.2
+    for material in (trimesh.visual.material.SimpleMaterial(image=image),
+                     trimesh.visual.material.PBRMaterial(baseColorTexture=image)):
+        mesh = trimesh.Trimesh(vertices, faces, process=False,
+                               visual=trimesh.visual.TextureVisuals(uv=uv, material=material))
+        maps = bisque.bake(mesh, low, ("color",), size=64)
+        bisque.Mesh(vertices, faces, uv, faces).save(tmp_path / "scan.obj")
+        image.save(tmp_path / "scan.png")
+        bisque.sort(tmp_path / "scan.obj", tmp_path / "scan.tris", texture=tmp_path / "scan.png")
+        expected = bisque.bake(tmp_path / "scan.tris", low, ("color",), size=64)
+        assert np.ptp(expected["color"]) > 0.5 and np.array_equal(maps["color"], expected["color"])
+        bisque.sort(mesh, tmp_path / "mesh.tris")  # the image is in the file
+        assert np.array_equal(bisque.bake(tmp_path / "mesh.tris", low, ("color",), size=64)["color"], maps["color"])
+    checksums = set()
+    for color in ((10, 20, 30), (30, 20, 10)):  # a repeated asset notices another texture
+        mesh.visual.material.baseColorTexture = Image.new("RGB", (4, 4), color)
+        bisque.asset(mesh, tmp_path / "a.glb", low=low, size=16, maps="color", keep=tmp_path / "k")
+        checksums.add((tmp_path / "a_asset/color.png").read_bytes())
+    assert len(checksums) == 2

@@ -40,13 +40,15 @@ MOST_RESOLUTION = 8192
 
 
 def _digest(mesh: Mesh) -> str:
-    """Returns a checksum of all arrays of a mesh."""
+    """Returns a checksum of all arrays of a mesh, and of its texture."""
     digest = hashlib.sha256()
     for name in ("vertices", "faces", "uvs", "uv_faces", "normals", "normal_faces", "colors"):
         array = getattr(mesh, name)
         if array is not None:
             digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
             digest.update(np.ascontiguousarray(array).data)
+    if mesh.texture is not None:
+        digest.update(f"{mesh.texture.mode} {mesh.texture.size}".encode() + mesh.texture.tobytes())
     return digest.hexdigest()
 
 

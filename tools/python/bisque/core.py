@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import itertools
 import os
 import shutil
@@ -15,6 +16,7 @@ from typing import Any, Callable, Sequence
 
 import numpy as np
 
+from .images import srgb, write_png
 from .lib._core import ffi, lib
 from .mesh import (Error, Mesh, as_mesh, check_number, check_triangles, is_path, parse_amount, parse_bytes,
                    parse_texels, read_mesh)
@@ -245,8 +247,8 @@ def _source(job: Job, scan: Any) -> Any:
     mesh = as_mesh(scan)
     colors = mesh.colors
     normals = mesh.normals if mesh.normal_faces is None or mesh.normal_faces is mesh.faces else None
-    if getattr(getattr(scan, "visual", None), "kind", None) == "texture" or len(
-            getattr(scan, "textures", ())):
+    if mesh.texture is None and (getattr(getattr(scan, "visual", None), "kind", None) == "texture" or len(
+            getattr(scan, "textures", ()))):
         job.warnings.append("mesh in memory: its material and texture are not read: write it to a file, "
                             "such as mesh.export('scan.obj'), and give its path")
     wide = mesh.vertices.dtype != np.float32
@@ -269,6 +271,14 @@ def _source(job: Job, scan: Any) -> Any:
         "read": ffi.addressof(lib, "arrays_read"), "user": arrays}))
 
 
+def _written(job: Job, mesh: Mesh) -> tuple[str, str]:
+    """Writes a mesh with a texture, and its image, to temporary files. Returns their paths."""
+    path, image = job.temporary("mesh.obj"), job.temporary("mesh.png")
+    mesh.save(path)
+    mesh.texture.save(image)
+    return path, image
+
+
 def _word(name: str, word: str, words: Sequence[str]) -> int:
     if word not in words:
         raise ValueError(f"{name}: {word!r} is none of: {' '.join(words)}")
@@ -289,6 +299,10 @@ def _sort(job: Job, scan: Any, output: str, texture: Any = None, ids: str = "non
           scan_normals: str = "auto", temporary: Any = ffi.NULL) -> dict:
     options = ffi.new("struct vox_sort_options *")
     lib.vox_sort_defaults(options)
+    mesh = as_mesh(scan) if _is_memory(scan) else None
+    if mesh and mesh.texture is not None and temporary == ffi.NULL:
+        scan, image = _written(job, mesh)
+        texture, embed_textures = texture or image, True
     if _is_memory(scan):
         options.scan_paths, options.scan_count = job.strings(["mesh in memory"]), 1
         options.sources = job.keep(ffi.new("const struct bsq_source *[]", [_source(job, scan)]))
@@ -455,17 +469,26 @@ class Maps(dict):
             weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
 
     def save(self, pattern: str | os.PathLike) -> list[str]:
-        """Copies the files of the maps; "<MAP>" in the pattern stands for their names. The suffix
-        must be that of the bake (`format`). Returns the paths."""
+        """Writes the maps; "<MAP>" in the pattern stands for their names. Of a suffix other than that of
+        the bake (`format`), .png can be made of OpenEXR maps that have no unit, with 16 bits, as a bake
+        does. Returns the paths. Raises ValueError."""
         pattern, saved = os.fspath(pattern), []
+        if "<MAP>" not in pattern and len(self.files) > 1:
+            raise ValueError(f"{pattern}: several maps need <MAP> in the name")
+        suffix, other = Path(pattern).suffix.lower(), []
         for name, path in self.files.items():
-            if Path(pattern).suffix.lower() != Path(path).suffix:
-                raise ValueError(f"{pattern}: the maps were baked as {Path(path).suffix[1:]}; "
-                                 "bake(format=...) chooses")
-            if "<MAP>" not in pattern and len(self.files) > 1:
-                raise ValueError(f"{pattern}: several maps need <MAP> in the name")
+            if suffix != Path(path).suffix:
+                other.append(name)
+                made = (suffix, Path(path).suffix) == (".png", ".exr") and name in self
+                if not made or name in self.report["encodings"]:
+                    raise ValueError(f"{pattern}: map {name} was baked as {Path(path).suffix[1:]}; "
+                                     "bake(format=...) chooses")
+        for name, path in self.files.items():
             saved.append(pattern.replace("<MAP>", name))
-            shutil.copyfile(path, saved[-1])
+            if name in other:
+                write_png(saved[-1], srgb(self[name]) if name == "color" else self[name])
+            else:
+                shutil.copyfile(path, saved[-1])
         return saved
 
     def glb(self, path: str | os.PathLike) -> str:
@@ -511,10 +534,22 @@ def map_names() -> dict[str, int]:
     return names
 
 
+def check_maps(maps: Sequence[str]) -> None:
+    """Refuses names that are nearly those of maps, by ValueError; all others are channels of the scan."""
+    names = map_names()
+    for name in maps:
+        near = difflib.get_close_matches(name, names, 1, 0.8)
+        if name not in names and near:
+            raise ValueError(f"maps: there is no map {name!r}; the nearest is {near[0]!r} "
+                             f"('transfer:{name}' is the scan's channel)")
+
+
 def _choose_maps(job: Job, options: Any, maps: Sequence[str]) -> None:
     """Sets the bits of maps; other names are transfer maps, of channels that the scan has."""
     names, transfers = map_names(), []
-    for name in (maps,) if isinstance(maps, str) else maps:
+    maps = (maps,) if isinstance(maps, str) else maps
+    check_maps(maps)
+    for name in maps:
         if name in names:
             options.maps |= 1 << names[name]
         else:

@@ -71,7 +71,8 @@ def check_triangles(value: Any, least: int) -> int | str:
 @dataclass
 class Mesh:
     """A triangle mesh. `faces` index `vertices`; `uv_faces` and `normal_faces`, of the same shape,
-    index `uvs` and `normals`. `report` says how the mesh was made."""
+    index `uvs` and `normals`. `report` says how the mesh was made. `texture`: an image of its colours, as
+    Pillow's."""
     vertices: np.ndarray
     faces: np.ndarray
     uvs: np.ndarray | None = None
@@ -80,6 +81,7 @@ class Mesh:
     normal_faces: np.ndarray | None = None
     colors: np.ndarray | None = None
     report: dict = field(default_factory=dict)
+    texture: Any = None
 
     def corner_uvs(self) -> np.ndarray:
         """Returns the texture coordinates of each corner: (faces, 3, 2)."""
@@ -227,6 +229,9 @@ def _from_trimesh(thing: Any) -> Mesh:
     visual = getattr(thing, "visual", None)
     if getattr(visual, "uv", None) is not None:
         mesh.uvs = visual.uv
+        material = getattr(visual, "material", None)
+        images = (getattr(material, name, None) for name in ("image", "baseColorTexture"))
+        mesh.texture = next((image for image in images if hasattr(image, "save")), None)
     elif getattr(visual, "kind", None) == "vertex":
         mesh.colors = visual.vertex_colors
     return mesh

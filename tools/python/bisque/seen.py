@@ -8,13 +8,13 @@ from __future__ import annotations
 import json
 import os
 import struct
-import zlib
 from pathlib import Path
 from typing import Any, Sequence
 
 import numpy as np
 
 from . import core
+from .images import srgb, write_png
 from .mesh import Error, Mesh
 
 #: Views in the columns and rows of the atlas, and the pixels of a side of each.
@@ -69,17 +69,6 @@ def _picture(views: np.ndarray) -> np.ndarray:
     """Puts pixels (views, SIDE * SIDE, channels) into the atlas."""
     cells = views.reshape(COLUMNS, ROWS, SIDE, SIDE, -1)
     return cells.transpose(1, 2, 0, 3, 4).reshape(ROWS * SIDE, COLUMNS * SIDE, -1)
-
-
-def _write_png(path: str, values: np.ndarray) -> None:
-    """Writes RGB of 0 to 1 with 16 bits."""
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    rows = np.round(values.clip(0, 1) * 65535).astype(">u2")
-    head = struct.pack(">IIBBBBB", values.shape[1], values.shape[0], 16, 2, 0, 0, 0)
-    body = zlib.compress(b"".join(b"\0" + row.tobytes() for row in rows), 1)
-    Path(path).write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", body) + chunk(b"IEND", b""))
 
 
 def read_glb(path: Path, folder: Path) -> dict:
@@ -176,8 +165,7 @@ def _shade(glb: dict, maps: Sequence[str], t: np.ndarray, w: np.ndarray, job: di
             found[name] = factor * core.sample_image(image, uv, data=component is not None, alpha=component == 3, **job)
             found[name] = found[name][:, slice(3) if component is None else [component % 3]]
     if "color" in maps:
-        c = found["color"]
-        found["color"] = np.where(c <= 0.0031308, 12.92 * c, 1.055 * c.clip(0) ** (1 / 2.4) - 0.055)
+        found["color"] = srgb(found["color"])
     return found
 
 
@@ -226,7 +214,7 @@ def _compare_views(path: Path, chunks: str, reach: float, maps: list[str], two_s
             pixels[seen] = of_map
             pictures[name] = _picture(pixels)
         for name in names:
-            _write_png(f"{folder}/asset_{name}.png", pictures[name])
+            write_png(f"{folder}/asset_{name}.png", pictures[name])
         found = {name: core.compare(f"{folder}/asset_{name}.png", f"{folder}/scan_{name}.exr", kind=name, force=True,
                                     mask=[f"{folder}/{of}" for of in ("asset_mask.png", "scan_mask.exr")], **job)
                  for name in names if name != "mask"}
