@@ -161,7 +161,7 @@ static int resolve_amounts(struct cli *cli, struct arguments *arguments)
 }
 
 /* Makes the name of each output. */
-static int name_outputs(struct cli *cli, struct arguments *arguments)
+static void name_outputs(struct arguments *arguments)
 {
     const uint32_t count =
         arguments->simplify.target_count > 0 ? arguments->simplify.target_count : 1;
@@ -176,7 +176,6 @@ static int name_outputs(struct cli *cli, struct arguments *arguments)
             cli_keep_text("%.*s%s%s", before, arguments->output, number, token ? token + 3 : "");
     }
     arguments->simplify.output_paths = arguments->paths;
-    return 0;
 }
 
 static int simplify_tool_parse_arguments(struct cli *cli, struct arguments *arguments, int argc,
@@ -317,7 +316,7 @@ static int simplify_tool_run(struct cli *cli, struct arguments *arguments, const
     arguments->simplify.tris_path = arguments->scans.chunks[0];
     arguments->simplify.temp_tris = temp;
     BSQ_TRY(resolve_amounts(cli, arguments));
-    BSQ_TRY(name_outputs(cli, arguments));
+    name_outputs(arguments);
     BSQ_TRY(vox_simplify(cli->ctx, &arguments->simplify, &report));
     report.temp_bytes = bsq_temp_bytes(cli->ctx);
     warn_of_targets(cli, arguments, &report);
