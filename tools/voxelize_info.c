@@ -59,14 +59,6 @@ struct survey {
     uint64_t bare_faces; /* without a material */
 };
 
-static bool file_info_any_index(const uint64_t *indices, uint64_t count)
-{
-    for (uint64_t i = 0; indices && i < count; i++)
-        if (indices[i] != FMT_MESH_NONE)
-            return true;
-    return false;
-}
-
 static int count_faces(struct survey *s, uint32_t material, uint64_t faces)
 {
     if (material == FMT_MESH_NO_MATERIAL) {
@@ -93,8 +85,8 @@ static int survey_batch(void *arg, const struct fmt_mesh_batch *batch)
             s->max[axis] = fmax(s->max[axis], batch->positions[v][axis]);
         }
     s->has_colors |= batch->colors || batch->late_color_count > 0;
-    s->has_texcoords |= file_info_any_index(batch->corner_texcoords, batch->corner_count);
-    s->has_normals |= file_info_any_index(batch->corner_normals, batch->corner_count);
+    s->has_texcoords |= fmt_mesh_any_index(batch->corner_texcoords, batch->corner_count);
+    s->has_normals |= fmt_mesh_any_index(batch->corner_normals, batch->corner_count);
     for (uint64_t i = 0; i <= batch->material_change_count; i++) {
         const bool last = i == batch->material_change_count;
         const uint64_t end = last ? batch->face_count : batch->material_changes[i].face;

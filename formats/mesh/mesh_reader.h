@@ -34,8 +34,7 @@ struct fmt_mesh_material_change {
  * scan. */
 struct fmt_mesh_batch {
     uint64_t sequence;
-    uint32_t file;        /* number of the input file */
-    uint64_t byte_offset; /* of the batch in its file */
+    uint32_t file; /* number of the input file */
     uint64_t byte_size;
 
     uint64_t vertex_count, vertex_base;
@@ -70,6 +69,15 @@ struct fmt_mesh_batch {
     struct fmt_mesh_material_change *material_changes;
     uint32_t material_at_start; /* before the first change; FMT_MESH_NO_MATERIAL if none */
 };
+
+/* Returns whether one of `count` indices of corners is not FMT_MESH_NONE. */
+static inline bool fmt_mesh_any_index(const uint64_t *indices, uint64_t count)
+{
+    for (uint64_t i = 0; indices && i < count; i++)
+        if (indices[i] != FMT_MESH_NONE)
+            return true;
+    return false;
+}
 
 struct fmt_mesh_totals {
     uint64_t bytes, vertices, texcoords, normals, faces, corners;

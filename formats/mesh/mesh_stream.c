@@ -423,7 +423,6 @@ static int call_on_batch(const struct reading *reading, struct stream_slot *slot
     slot->view = (struct fmt_mesh_batch){
         .sequence = sequence,
         .file = slot->block.source,
-        .byte_offset = reading->passed,
         .byte_size = slot->block.end - reading->passed,
         .color_white = slot->color_white,
         .fine_colors = slot->fine_colors,

@@ -81,14 +81,6 @@ static bool any_none(const uint64_t *indices, uint64_t count)
     return any;
 }
 
-static bool any_index(const uint64_t *indices, uint64_t count)
-{
-    for (uint64_t i = 0; i < count; i++)
-        if (indices[i] != FMT_MESH_NONE)
-            return true;
-    return false;
-}
-
 static uint32_t largest_face(const struct fmt_mesh_batch *batch)
 {
     uint32_t largest = 3;
@@ -135,8 +127,8 @@ void vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_batch *
     const struct fmt_mesh_batch *faces = &out->faces;
     out->max_size = largest_face(faces);
     out->lacks_texcoord = !texcoords || any_none(texcoords, faces->corner_count);
-    out->has_texcoords = texcoords && any_index(texcoords, faces->corner_count);
-    out->has_normals = normals && any_index(normals, faces->corner_count);
+    out->has_texcoords = fmt_mesh_any_index(texcoords, faces->corner_count);
+    out->has_normals = fmt_mesh_any_index(normals, faces->corner_count);
 }
 
 /* ---- what faces of each file have ---- */
