@@ -111,6 +111,17 @@ enum {
     FMT_NVDB_LEAF_BYTES = 96    /* of a leaf node */
 };
 
+/* Sections of the file, of which nvdb_layout_internal.h has the numbers. */
+enum { FMT_NVDB_SECTION_COUNT = 13 };
+struct fmt_nvdb_range {
+    uint64_t offset, size; /* in the file */
+};
+struct fmt_nvdb_layout {
+    struct fmt_nvdb_range section[FMT_NVDB_SECTION_COUNT];
+    uint64_t root_tiles; /* offset in the file */
+    uint64_t record_count, file_bytes;
+};
+
 /* A mapped grid. All pointers are into the map and valid until fmt_nvdb_close(). The nodes of a
  * level are contiguous, and fmt_nvdb_open() has checked the offsets that they contain. But another
  * process may change the file later: who follows an offset, a value index or a rank bounds it by
@@ -118,8 +129,7 @@ enum {
 struct fmt_nvdb_grid {
     struct bsq_map map;
     struct fmt_nvdb_info info;
-    const uint8_t *grid; /* GridData; offsets below are from here */
-    uint64_t grid_bytes;
+    const uint8_t *grid;       /* GridData; offsets below are from here */
     const uint8_t *root;       /* RootData */
     const uint8_t *root_tiles; /* 32 bytes each, sorted by key: u64 key, i64 offset of its upper
                              node from root */
@@ -147,6 +157,8 @@ struct fmt_nvdb_grid {
     /* Which voxels have second records: entry i = {bits, rank} is for value indices 32 i ... 32 i +
      * 31. The second record of v is number 1 + voxel_count + rank + popcount(bits below v & 31). */
     const uint32_t (*seconds)[2];
+    struct fmt_nvdb_layout layout; /* of the file, private to this folder, as is the next one */
+    uint32_t flags;                /* of the trailer */
 };
 
 /* Maps a grid. Checks magic, version, type, sizes, and every node offset, mask and prefix sum that

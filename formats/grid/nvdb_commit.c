@@ -16,7 +16,7 @@ enum { BUFFER_BYTES = 1 << 19 };
 
 struct commit {
     struct fmt_nvdb_writer *writer;
-    struct nvdb_layout layout;
+    struct fmt_nvdb_layout layout;
     uint8_t *head; /* section NVDB_HEAD */
     struct nvdb_blind blind[NVDB_SECTION_COUNT];
     struct nvdb_trailer trailer;
@@ -158,7 +158,7 @@ static int write_section(void *arg, uint64_t number, unsigned worker)
 {
     static const uint8_t zeros[NVDB_ALIGNMENT];
     struct commit *commit = arg;
-    const struct nvdb_range *range = &commit->layout.section[number];
+    const struct fmt_nvdb_range *range = &commit->layout.section[number];
     const uint64_t before = number > 0 ? range[-1].offset + range[-1].size : 0;
     struct section s = {.commit = commit,
                         .number = (int)number,
@@ -201,7 +201,7 @@ static void fill_trailer(const struct fmt_nvdb_writer *writer, struct nvdb_trail
 }
 
 /* Fills section NVDB_HEAD with its checksum. */
-static void fill_head(const struct fmt_nvdb_writer *writer, const struct nvdb_layout *layout,
+static void fill_head(const struct fmt_nvdb_writer *writer, const struct fmt_nvdb_layout *layout,
                       uint8_t *head)
 {
     fmt_nvdb_fill_fixed(&writer->info, &writer->counts, layout, writer->bbox_min, writer->bbox_max,
@@ -220,7 +220,7 @@ static void fill_head(const struct fmt_nvdb_writer *writer, const struct nvdb_la
 static int nvdb_write_file(struct fmt_nvdb_writer *writer)
 {
     struct commit commit = {.writer = writer};
-    const struct nvdb_layout *layout = &commit.layout;
+    const struct fmt_nvdb_layout *layout = &commit.layout;
     int status;
     fmt_nvdb_layout_compute(&writer->counts, &commit.layout);
     fmt_nvdb_fill_blind(layout, commit.blind);
@@ -252,7 +252,7 @@ static int sync_or_close(void *arg, uint64_t index, unsigned worker)
 
 static void fill_totals(const struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *totals)
 {
-    struct nvdb_layout layout;
+    struct fmt_nvdb_layout layout;
     fmt_nvdb_layout_compute(&writer->counts, &layout);
     *totals = (struct fmt_nvdb_totals){
         .voxels = writer->counts.voxels,

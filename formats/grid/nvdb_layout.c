@@ -70,7 +70,7 @@ void fmt_nvdb_version(enum fmt_nvdb_type type, uint32_t version[3])
     version[2] = packed & 1023;
 }
 
-void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layout *layout)
+void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct fmt_nvdb_layout *layout)
 {
     uint64_t blinds = 0, offset = 0;
     for (int i = NVDB_NORMALS; i < NVDB_SECTION_COUNT; i++)
@@ -98,7 +98,8 @@ void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layou
     for (int i = 0; i < NVDB_SECTION_COUNT; i++) {
         if (i >= NVDB_NORMALS)
             offset = bsq_align_up(offset, NVDB_ALIGNMENT);
-        layout->section[i] = (struct nvdb_range){offset, nvdb_has(counts->flags, i) ? size[i] : 0};
+        layout->section[i] =
+            (struct fmt_nvdb_range){offset, nvdb_has(counts->flags, i) ? size[i] : 0};
         offset += layout->section[i].size;
     }
     layout->file_bytes = offset;
@@ -222,7 +223,7 @@ static void fill_map(const struct fmt_nvdb_info *info, struct nvdb_map *map)
 }
 
 static void nvdb_fill_grid_data(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
-                                const struct nvdb_layout *layout, const struct nvdb_root *root,
+                                const struct fmt_nvdb_layout *layout, const struct nvdb_root *root,
                                 struct nvdb_grid_data *grid)
 {
     grid->magic = NVDB_MAGIC;
@@ -250,7 +251,7 @@ static void nvdb_fill_grid_data(const struct fmt_nvdb_info *info, const struct n
     grid->data2 = indexed ? NVDB_MAGIC_GRID : 0;
 }
 
-static void fill_tree(const struct nvdb_counts *counts, const struct nvdb_layout *layout,
+static void fill_tree(const struct nvdb_counts *counts, const struct fmt_nvdb_layout *layout,
                       struct nvdb_tree_data *tree)
 {
     const uint64_t start = offsetof(struct nvdb_fixed, tree);
@@ -264,7 +265,7 @@ static void fill_tree(const struct nvdb_counts *counts, const struct nvdb_layout
     tree->voxel_count = counts->voxels;
 }
 
-uint32_t fmt_nvdb_head_crc(const uint8_t *head, const struct nvdb_layout *layout)
+uint32_t fmt_nvdb_head_crc(const uint8_t *head, const struct fmt_nvdb_layout *layout)
 {
     uint64_t begin = FMT_NVDB_GRID_OFFSET + offsetof(struct nvdb_grid_data, version);
     uLong crc = crc32(0, NULL, 0);
@@ -277,7 +278,7 @@ uint64_t fmt_nvdb_trailer_checksum(const struct nvdb_trailer *trailer)
 }
 
 void fmt_nvdb_fill_fixed(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
-                         const struct nvdb_layout *layout, const int32_t bbox_min[3],
+                         const struct fmt_nvdb_layout *layout, const int32_t bbox_min[3],
                          const int32_t bbox_max[3], uint8_t *head)
 {
     struct nvdb_fixed fixed = {.root.root_tile_count = counts->uppers};
@@ -290,12 +291,12 @@ void fmt_nvdb_fill_fixed(const struct fmt_nvdb_info *info, const struct nvdb_cou
     memcpy(head, &fixed, sizeof fixed);
 }
 
-void fmt_nvdb_fill_blind(const struct nvdb_layout *layout, struct nvdb_blind *blind)
+void fmt_nvdb_fill_blind(const struct fmt_nvdb_layout *layout, struct nvdb_blind *blind)
 {
     memset(blind, 0, layout->section[NVDB_BLIND].size);
     uint64_t here = layout->section[NVDB_BLIND].offset;
     for (int section = NVDB_NORMALS; section <= NVDB_TRAILER; section++) {
-        const struct nvdb_range *range = &layout->section[section];
+        const struct fmt_nvdb_range *range = &layout->section[section];
         if (range->size == 0)
             continue;
         const struct nvdb_row *row = &fmt_nvdb_rows[section];

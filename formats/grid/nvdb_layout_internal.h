@@ -185,6 +185,7 @@ enum nvdb_section {
     NVDB_TRAILER,  /* struct nvdb_trailer; its checksum is its own last member */
     NVDB_SECTION_COUNT
 };
+static_assert((int)NVDB_SECTION_COUNT == (int)FMT_NVDB_SECTION_COUNT, "sections");
 
 #define NVDB_TRAILER_MAGIC "BISQUE\r\n"
 enum { NVDB_TRAILER_HAS_COLOR = 1, NVDB_TRAILER_HAS_IDS = 2, NVDB_TRAILER_HAS_CHANNELS = 4 };
@@ -226,16 +227,6 @@ struct nvdb_counts {
     uint32_t channel_words, channel_list_bytes; /* 0: no channels */
 };
 
-struct nvdb_range {
-    uint64_t offset, size; /* in the file */
-};
-
-struct nvdb_layout {
-    struct nvdb_range section[NVDB_SECTION_COUNT];
-    uint64_t root_tiles; /* offset in the file */
-    uint64_t record_count, file_bytes;
-};
-
 /* A row of the table of sections. From NVDB_NORMALS on they are channels: NanoVDB's terms describe
  * them. */
 struct nvdb_row {
@@ -252,12 +243,6 @@ static inline uint32_t nvdb_flags(bool color, enum fmt_ids ids, bool channels)
 {
     return (color ? NVDB_TRAILER_HAS_COLOR : 0) | (ids != FMT_IDS_NONE ? NVDB_TRAILER_HAS_IDS : 0) |
            (channels ? NVDB_TRAILER_HAS_CHANNELS : 0);
-}
-
-/* Returns the flags of a grid that fmt_nvdb_check_header() accepted. */
-static inline uint32_t nvdb_flags_of(const struct fmt_nvdb_grid *grid)
-{
-    return nvdb_flags(grid->info.has_color, grid->info.ids, grid->channel_words > 0);
 }
 
 /* Returns whether a grid with these flags has a section. */
@@ -324,7 +309,7 @@ static inline const int64_t *nvdb_table(const struct nvdb_level *level,
 
 /* Computes the offsets of all sections. Nothing overflows if voxels <= 512 * leaves, seconds <=
  * voxels, name_bytes is below 2^61 and channel_words at most FMT_CHANNEL_VALUES_MAX. */
-void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layout *layout);
+void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct fmt_nvdb_layout *layout);
 
 static inline uint32_t nvdb_version(enum fmt_nvdb_type type)
 {
@@ -368,15 +353,15 @@ void fmt_nvdb_fill_file_head(struct nvdb_fixed *fixed);
 /* Fills section NVDB_HEAD up to the tiles, layout->tiles bytes, with zeros for the checksum. Reads
  * only voxel size and translation of `info`. */
 void fmt_nvdb_fill_fixed(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
-                         const struct nvdb_layout *layout, const int32_t bbox_min[3],
+                         const struct fmt_nvdb_layout *layout, const int32_t bbox_min[3],
                          const int32_t bbox_max[3], uint8_t *head);
 /* Fills section NVDB_BLIND. */
-void fmt_nvdb_fill_blind(const struct nvdb_layout *layout, struct nvdb_blind *blind);
+void fmt_nvdb_fill_blind(const struct fmt_nvdb_layout *layout, struct nvdb_blind *blind);
 
 /* Returns NanoVDB's checksum of a grid's head: GridData after its checksum, TreeData, RootData and
  * tiles. That is NanoVDB's default mode. Its full mode is not used because it covers other bytes in
  * 32.6 than in 32.4; the trailer has checksums of all sections instead. */
-uint32_t fmt_nvdb_head_crc(const uint8_t *head, const struct nvdb_layout *layout);
+uint32_t fmt_nvdb_head_crc(const uint8_t *head, const struct fmt_nvdb_layout *layout);
 uint64_t fmt_nvdb_trailer_checksum(const struct nvdb_trailer *trailer);
 
 /* The two steps of fmt_nvdb_open() after mapping the file. The first checks that Bisque wrote the
@@ -391,10 +376,12 @@ static inline uint64_t nvdb_channels_head_bytes(uint32_t list_bytes)
     return bsq_align_up(sizeof(struct nvdb_channels_head) + (uint64_t)list_bytes, NVDB_ALIGNMENT);
 }
 
-/* Give the layout of a grid that fmt_nvdb_check_header() accepted, and its trailer. */
-void fmt_nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *layout);
-const struct nvdb_trailer *fmt_nvdb_trailer_of(const struct fmt_nvdb_grid *grid,
-                                               const struct nvdb_layout *layout);
+/* Returns the trailer of a grid that fmt_nvdb_check_header() accepted. */
+static inline const struct nvdb_trailer *nvdb_trailer_of(const struct fmt_nvdb_grid *grid)
+{
+    return (const struct nvdb_trailer *)((const char *)grid->map.data +
+                                         grid->layout.section[NVDB_TRAILER].offset);
+}
 
 #ifdef __cplusplus
 }

@@ -19,7 +19,7 @@ struct head {
     /* Valid after read_trailer(), read_counts() and nvdb_read_channels(). */
     struct nvdb_trailer trailer;
     struct nvdb_counts counts;
-    struct nvdb_layout layout;
+    struct fmt_nvdb_layout layout;
 };
 
 static int damaged(const struct head *h, const char *what)
@@ -257,7 +257,7 @@ static int check_fixed(const struct head *h)
 /* Compares offsets, sizes and all that can be computed with the file. */
 static int check_head(const struct head *h)
 {
-    const struct nvdb_range *descriptions = &h->layout.section[NVDB_BLIND];
+    const struct fmt_nvdb_range *descriptions = &h->layout.section[NVDB_BLIND];
     struct nvdb_blind blind[NVDB_SECTION_COUNT];
     if (h->layout.file_bytes != h->size)
         return damaged(h, h->layout.file_bytes > h->size ? "node counts" : "file size");
@@ -282,6 +282,8 @@ static void fill_grid(const struct head *h, struct fmt_nvdb_grid *grid)
     const struct nvdb_fixed *fixed = &h->fixed;
     const struct nvdb_trailer *trailer = &h->trailer;
     const struct nvdb_counts *counts = &h->counts;
+    grid->layout = h->layout;
+    grid->flags = counts->flags;
     grid->info.type = counts->type;
     grid->info.has_color = nvdb_has(counts->flags, NVDB_COLORS);
     grid->info.voxel_size = fixed->grid.map.matrix[0];
@@ -292,7 +294,6 @@ static void fill_grid(const struct head *h, struct fmt_nvdb_grid *grid)
     memcpy(grid->index_min, fixed->root.bbox_min, sizeof(grid->index_min));
     memcpy(grid->index_max, fixed->root.bbox_max, sizeof(grid->index_max));
     grid->grid = h->file + FMT_NVDB_GRID_OFFSET;
-    grid->grid_bytes = fixed->grid.grid_bytes;
     grid->root = h->file + NVDB_ROOT_OFFSET;
     grid->root_tiles = h->file + h->layout.root_tiles;
     grid->uppers = nvdb_section_of(h, NVDB_UPPERS);
@@ -393,29 +394,6 @@ int fmt_nvdb_check_header(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
     return 0;
 }
 
-void fmt_nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *layout)
-{
-    struct nvdb_counts counts = {
-        .type = grid->info.type,
-        .flags = nvdb_flags_of(grid),
-        .name_bytes = grid->name_bytes,
-        .channel_words = grid->channel_words,
-        .channel_list_bytes = grid->channel_list_bytes,
-        .uppers = grid->upper_count,
-        .lowers = grid->lower_count,
-        .leaves = grid->leaf_count,
-        .voxels = grid->voxel_count,
-        .seconds = grid->record_count - 1 - grid->voxel_count,
-    };
-    fmt_nvdb_layout_compute(&counts, layout);
-}
-
-const struct nvdb_trailer *fmt_nvdb_trailer_of(const struct fmt_nvdb_grid *grid,
-                                               const struct nvdb_layout *layout)
-{
-    return (const void *)((const uint8_t *)grid->map.data + layout->section[NVDB_TRAILER].offset);
-}
-
 /* ---- opening ---- */
 
 bool fmt_nvdb_recognise(const char first[8])
@@ -462,7 +440,7 @@ void fmt_nvdb_close(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
 
 int fmt_nvdb_trailer_version(const struct fmt_nvdb_grid *grid)
 {
-    return (int)nvdb_trailer_version(nvdb_flags_of(grid));
+    return (int)nvdb_trailer_version(grid->flags);
 }
 
 uint64_t fmt_nvdb_second(const struct fmt_nvdb_grid *grid, uint64_t v)

@@ -34,7 +34,6 @@ struct check {
     struct bsq_ctx *ctx;
     const struct fmt_nvdb_grid *grid;
     const uint8_t *file;
-    struct nvdb_layout layout;
     struct nvdb_trailer trailer; /* only for verifying */
 };
 
@@ -61,7 +60,7 @@ static bool is_upper(const struct nvdb_level *level)
 
 static const void *verify_section_of(const struct check *c, enum nvdb_section section)
 {
-    return c->file + c->layout.section[section].offset;
+    return c->file + c->grid->layout.section[section].offset;
 }
 
 static const struct nvdb_node *node_of(const struct check *c, const struct nvdb_level *level,
@@ -272,7 +271,6 @@ static int check_task(void *arg, uint64_t index, unsigned worker)
 int fmt_nvdb_check_nodes(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {
     struct check c = {.ctx = ctx, .grid = grid, .file = grid->map.data};
-    fmt_nvdb_layout_of(grid, &c.layout);
     BSQ_PASS(check_root(&c));
     const uint64_t tasks = (entry_count(grid) + ENTRIES_PER_TASK - 1) / ENTRIES_PER_TASK;
     return bsq_parallel_for(ctx, (uint64_t)grid->lower_count + grid->upper_count + tasks,
@@ -292,7 +290,7 @@ static void forget_pages(const struct fmt_nvdb_grid *grid, const void *from, uin
 
 /* ---- sections ---- */
 
-static int hash_section(const struct check *c, const struct nvdb_range *range, uint64_t *hash)
+static int hash_section(const struct check *c, const struct fmt_nvdb_range *range, uint64_t *hash)
 {
     XXH3_state_t *state = XXH3_createState();
     if (!state)
@@ -318,9 +316,9 @@ static int verify_section(void *arg, uint64_t index, unsigned worker)
     (void)worker;
     struct check *c = arg;
     const int section = (int)index;
-    const struct nvdb_range *range = &c->layout.section[section];
+    const struct fmt_nvdb_range *range = &c->grid->layout.section[section];
     uint64_t hash = 0;
-    if (!nvdb_has_checksum(nvdb_flags_of(c->grid), section))
+    if (!nvdb_has_checksum(c->grid->flags, section))
         return 0;
     BSQ_PASS(hash_section(c, range, &hash));
     if (hash != *nvdb_checksum(&c->trailer, section))
@@ -334,8 +332,9 @@ static int verify_section(void *arg, uint64_t index, unsigned worker)
 static int verify_padding(const struct check *c)
 {
     for (int i = 1; i < NVDB_SECTION_COUNT; i++) {
-        const struct nvdb_range *before = &c->layout.section[i - 1];
-        for (uint64_t at = before->offset + before->size; at < c->layout.section[i].offset; at++)
+        const struct fmt_nvdb_range *before = &c->grid->layout.section[i - 1];
+        for (uint64_t at = before->offset + before->size; at < c->grid->layout.section[i].offset;
+             at++)
             if (c->file[at] != 0)
                 return bsq_fail(c->ctx, BSQ_EDATA, "%s: damaged: padding at byte %llu is not zero",
                                 c->grid->map.path, (unsigned long long)at);
@@ -458,8 +457,7 @@ int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {
     struct check c = {.ctx = ctx, .grid = grid, .file = grid->map.data};
     forget_pages(grid, grid->map.data, grid->map.size);
-    fmt_nvdb_layout_of(grid, &c.layout);
-    c.trailer = *fmt_nvdb_trailer_of(grid, &c.layout);
+    c.trailer = *nvdb_trailer_of(grid);
     BSQ_PASS(bsq_parallel_for(ctx, NVDB_TRAILER, verify_section, &c));
     BSQ_PASS(verify_padding(&c));
     BSQ_PASS(

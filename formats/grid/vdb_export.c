@@ -11,6 +11,8 @@
 #include "formats/grid/vdb_program.h"
 #include "formats/program/program.h"
 
+static const char purpose[] = "OpenVDB files";
+
 static uint64_t export_bytes(const struct fmt_nvdb_grid *grid)
 {
     const uint64_t vectors = (uint64_t)grid->leaf_count * VDB_VECTOR_LEAF +
@@ -26,9 +28,7 @@ static uint64_t export_bytes(const struct fmt_nvdb_grid *grid)
  * equal grids give equal files. It is text, after the magic number, two versions and a flag. */
 static int replace_uuid(struct bsq_output *output, const struct fmt_nvdb_grid *grid)
 {
-    struct nvdb_layout layout;
-    fmt_nvdb_layout_of(grid, &layout);
-    const struct nvdb_trailer *trailer = fmt_nvdb_trailer_of(grid, &layout);
+    const struct nvdb_trailer *trailer = nvdb_trailer_of(grid);
     XXH128_hash_t hash = XXH3_128bits(trailer, sizeof *trailer);
     char uuid[37];
     snprintf(uuid, sizeof uuid, "%08x-%04x-8%03x-%04x-%012llx", (uint32_t)(hash.high64 >> 32),
@@ -38,15 +38,10 @@ static int replace_uuid(struct bsq_output *output, const struct fmt_nvdb_grid *g
     return bsq_output_write_at(output, uuid, 36, 8 + 4 + 4 + 4 + 1);
 }
 
-static int vdb_find_program(struct bsq_ctx *ctx, char program[PATH_MAX])
-{
-    return fmt_program_find(ctx, "bisque-vdb", "OpenVDB files", program);
-}
-
 int fmt_vdb_check(struct bsq_ctx *ctx)
 {
     char program[PATH_MAX];
-    return vdb_find_program(ctx, program);
+    return fmt_program_find(ctx, "bisque-vdb", purpose, program);
 }
 
 /* Lets bisque-vdb write the file of an output. */
@@ -61,8 +56,8 @@ static int vdb_write_content(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *gr
     int status;
     snprintf(stamp, sizeof stamp, "%s", fmt_program_stamp);
     snprintf(threads, sizeof threads, "%u", bsq_threads(ctx));
-    BSQ_TRY(vdb_find_program(ctx, program));
-    BSQ_TRY(fmt_program_check(ctx, "OpenVDB files"));
+    BSQ_TRY(fmt_program_find(ctx, "bisque-vdb", purpose, program));
+    BSQ_TRY(fmt_program_check(ctx, purpose));
     BSQ_TRY(bsq_output_read(output, &file));
     BSQ_TRY(fmt_program_run(ctx, arguments, grid->map.fd, file.fd, INFINITY, &end));
     if (end.error == 0 && end.state == 0)

@@ -37,9 +37,9 @@ static const uint8_t kinds[16] = {SET, SET,  SET,  SET,   SET,   SET_FAR,  ADD, 
 struct grid_template {
     uint8_t *bytes, *original;
     uint64_t size;
-    struct nvdb_layout layout;
+    struct fmt_nvdb_layout layout;
     uint32_t *places, place_count; /* offset of each place */
-    struct nvdb_range changed[RANGES];
+    struct fmt_nvdb_range changed[RANGES];
     int changed_count;
     bool remake; /* the head is made again from the tree's bounds, voxel size and translation */
 };
@@ -149,7 +149,7 @@ static void make_template(int number, struct grid_template *t)
         .map = {.data = t->bytes, .size = t->size, .path = (char *)"template"}};
     require(bsq_ctx_create(&(struct bsq_ctx_options){.threads = 1}, &ctx) == 0, "no context");
     require(fmt_nvdb_check_header(ctx, &grid) == 0, "a template that is not valid");
-    fmt_nvdb_layout_of(&grid, &t->layout);
+    t->layout = grid.layout;
     bsq_ctx_destroy(ctx);
 }
 
@@ -166,10 +166,10 @@ static struct grid_template *template_at(int number)
 static void touch(struct grid_template *t, const void *p, uint64_t size)
 {
     if (t->changed_count == RANGES)
-        t->changed[--t->changed_count] = (struct nvdb_range){0, t->size};
+        t->changed[--t->changed_count] = (struct fmt_nvdb_range){0, t->size};
     else
         t->changed[t->changed_count] =
-            (struct nvdb_range){(uint64_t)((const uint8_t *)p - t->bytes), size};
+            (struct fmt_nvdb_range){(uint64_t)((const uint8_t *)p - t->bytes), size};
     t->changed_count++;
 }
 
@@ -178,7 +178,7 @@ static void touch_section(struct grid_template *t, enum nvdb_section section)
     touch(t, t->bytes + t->layout.section[section].offset, t->layout.section[section].size);
 }
 
-static bool is_touched(const struct grid_template *t, const struct nvdb_range *range)
+static bool is_touched(const struct grid_template *t, const struct fmt_nvdb_range *range)
 {
     for (int i = 0; i < t->changed_count; i++)
         if (t->changed[i].offset < range->offset + range->size &&
@@ -388,7 +388,7 @@ static void remake_head(const struct grid_template *t)
 /* Corrects the file header, which repeats parts of GridData, and all checksums. */
 static void mend(struct grid_template *t)
 {
-    const struct nvdb_layout *layout = &t->layout;
+    const struct fmt_nvdb_layout *layout = &t->layout;
     struct nvdb_trailer *trailer = nodes(t, NVDB_TRAILER);
     touch_section(t, NVDB_HEAD);
     touch_section(t, NVDB_TRAILER);
@@ -398,7 +398,7 @@ static void mend(struct grid_template *t)
         fmt_nvdb_fill_file_head(head(t));
     head(t)->grid.checksum[0] = fmt_nvdb_head_crc(t->bytes, layout);
     for (int i = 0; i < NVDB_TRAILER; i++) {
-        const struct nvdb_range *range = &layout->section[i];
+        const struct fmt_nvdb_range *range = &layout->section[i];
         if (is_touched(t, range))
             *nvdb_checksum(trailer, i) = XXH3_64bits(t->bytes + range->offset, range->size);
     }
@@ -446,7 +446,7 @@ void grid_patch_revert(struct patched_grid *grid)
     if (t)
         set_end(t, t->size);
     for (int i = 0; t && i < t->changed_count; i++) {
-        const struct nvdb_range *range = &t->changed[i];
+        const struct fmt_nvdb_range *range = &t->changed[i];
         memcpy(t->bytes + range->offset, t->original + range->offset, range->size);
     }
     if (t) {

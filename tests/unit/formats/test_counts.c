@@ -171,7 +171,7 @@ TEST(sections_of_the_largest_grid_do_not_wrap)
                                  .name_bytes = names,
                                  .channel_words = (uint32_t)words,
                                  .channel_list_bytes = UINT32_MAX};
-    struct nvdb_layout layout;
+    struct fmt_nvdb_layout layout;
     fmt_nvdb_layout_compute(&counts, &layout);
     const uint64_t sizes[NVDB_SECTION_COUNT] = {960 + 96 + 32 * u,
                                                 270400 * u,

@@ -44,7 +44,7 @@ struct small_file {
     struct scene scene;
     uint8_t *bytes;
     uint64_t size;
-    struct nvdb_layout layout;
+    struct fmt_nvdb_layout layout;
 };
 
 static void small_file_open(struct small_file *file)
@@ -68,7 +68,7 @@ static void small_file_open(struct small_file *file)
     file->bytes = test_read(nvdb_path, &file->size);
     struct fmt_nvdb_grid grid;
     assert_ok(file->ctx, open_bytes(file->ctx, file->bytes, file->size, &grid));
-    fmt_nvdb_layout_of(&grid, &file->layout);
+    file->layout = grid.layout;
 }
 
 static void small_file_close(struct small_file *file)
