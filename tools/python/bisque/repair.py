@@ -23,6 +23,8 @@ MISSES = 0.0005
 #: Hard edges: where the scan is looked at along an edge, and on the way from there to the third corner; and the
 #: share of the angle that it must have.
 ALONG, BESIDE, KEPT_ANGLE = (0.2, 0.5, 0.8), 0.1, 0.6
+#: Edges of a line of hard edges, at least.
+SHORTEST_LINE = 8
 #: Degrees above which an edge is a fold, which is hard whatever the scan has.
 FOLD = 100
 #: Degrees between normals at an edge that make it a seam.
@@ -281,6 +283,13 @@ def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.degrees(np.arccos((a * b).sum(axis=-1).clip(-1, 1)))
 
 
+def _in_lines(mesh: Mesh, edges: np.ndarray) -> np.ndarray:
+    """Returns which of the half-edges meet, by their ends, at least SHORTEST_LINE of them: a few alone are noise."""
+    ends = np.stack([mesh.faces.ravel()[edges], np.roll(mesh.faces, -1, axis=1).ravel()[edges]])
+    line = _least(len(mesh.vertices), *ends)[ends[0]]
+    return np.bincount(line, minlength=1)[line] >= SHORTEST_LINE
+
+
 def look(mesh: Mesh, chunks: str, hard_angle: float, reach: float, job: dict) -> tuple[np.ndarray, np.ndarray, dict]:
     """Looks at the scan along the normals of the mesh. Returns pairs of half-edges, those of edges that are hard: where
     the mesh has an angle above `hard_angle`, and the scan one near as large; and a report, with `two_sided`: the scan
@@ -307,6 +316,7 @@ def look(mesh: Mesh, chunks: str, hard_angle: float, reach: float, job: dict) ->
     sides = (seen[PROBES:].reshape(len(tested), 2, len(ALONG), 3) * hits).sum(axis=2)
     sides /= np.linalg.norm(sides, axis=2, keepdims=True).clip(1e-30)
     like = hits.any(axis=(2, 3)).all(axis=1) & (_angles(sides[:, 0], sides[:, 1]) > KEPT_ANGLE * angles[tested])
+    like[like] = _in_lines(mesh, pairs[tested[like], 0])
     hard = tested[like | (angles[tested] > FOLD)]
     return pairs, hard, {"two_sided": two_sided, "inward_share": float(misses if two_sided else 0),
                          "hard_edges": len(hard)}
