@@ -239,15 +239,22 @@ def check_asset(module, scan_picture):
     holds("y of the scan is up", numpy.abs(y_up[:, 2] - box[:, 1]).max() < 0.02)
     shutil.copy("maps/vase.glb", "maps/vase_1.glb")
     level = {"rays": {"misses": 0, "samples": 1}}
-    maker = SimpleNamespace(output=os.path.abspath("maps/vase.glb"), z_up=True)
+    maker = SimpleNamespace(output=os.path.abspath("maps/vase.glb"))
     os.makedirs("maps/vase_asset/1")
     shutil.copy("maps/vase_asset/preview.png", "maps/vase_asset/1")
     module.AssetOperator.finish(maker, bpy.context, {"levels": [{**level, "name": "0", "files": ["vase.glb"]},
                                                                {**level, "name": "1", "files": ["vase_1.glb"]}]})
     fine, coarse = bpy.data.objects["vase_1"], bpy.data.objects["vase.001"]
-    bpy.context.view_layer.update()
-    holds("z of the scan is up if it says so", numpy.abs(bounds(fine) - box).max() < 0.02)
     holds("the finest level is shown", fine.visible_get() and not coarse.visible_get())
+    settings(asset_triangles=1500, z_up=True, units="cm")
+    bpy.ops.object.bisque_asset()
+    bpy.context.view_layer.update()
+    placed = bounds(bpy.context.selected_objects[0])
+    holds("z of the scan is up if it says so, and its unit is", numpy.abs(100 * placed - box).max() < 0.02)
+    select_low().scale = (0.01, 0.01, 0.01)
+    bpy.context.view_layer.update()
+    settings(maps="normal", units="cm")
+    holds("meshes in metres fit a scan in centimetres", bpy.ops.object.bisque_bake() == {"FINISHED"})
 
 
 def check_picture():

@@ -1,16 +1,17 @@
 """Bisque - bakes maps of a scan onto the selected objects, or makes an asset of it. The scan is a file that
 Blender never reads: Bisque's programs do, beside Blender."""
 import glob
-import math
 import os
 import shlex
 import time
 
 import bpy
-import mathutils
 from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
 
 from . import jobs, material
+
+
+UNITS = {"m": 1, "cm": 100, "mm": 1000, "in": 1 / 0.0254}  # in a metre
 
 
 def words(*names):
@@ -35,6 +36,8 @@ class Settings(bpy.types.PropertyGroup):
     memory: StringProperty(name="Memory", description="Of each program, such as 4G; empty: half of the machine's")
     z_up: BoolProperty(name="Scan has z up", default=True,
                        description="Axes of the scan; off: y is up, as in most OBJ and glTF files")
+    units: EnumProperty(name="Unit", items=[(name, name, "") for name in UNITS], default="m",
+                        description="Of the scan. Assets and selected meshes are in metres")
     size: EnumProperty(name="Size", items=words("512", "1024", "2048", "4096", "8192"), default="2048")
     maps: StringProperty(name="Maps", default="normal,color",
                          description="Names with commas between them, such as normal,color,ao; or all")
@@ -106,6 +109,8 @@ def bake_options(settings, folder):
         bake += ["--preview", os.path.join(folder, "bisque_preview.png")]
     if settings.match:
         bake += ["--match", "name"]
+    if settings.units != "m":
+        bake += ["--low", f"scale={UNITS[settings.units]:.9g}"]
     return {"bisque-voxelize": sort, "bisque-bake": bake + shlex.split(settings.extra), "memory": settings.memory}
 
 
@@ -116,13 +121,11 @@ def object_named(names, name):
     return bpy.data.objects.get(name)
 
 
-def add_asset(path, z_up):
-    """Adds the object of a GLB file. Its y is up, so that a scan with z up lies on its back."""
+def add_asset(path):
+    """Adds the object of a GLB file."""
     bpy.ops.import_scene.gltf(filepath=path)
     item = bpy.context.selected_objects[0]
     item.name = os.path.splitext(os.path.basename(path))[0]
-    if z_up:
-        item.matrix_world = mathutils.Matrix.Rotation(-math.pi / 2, 4, "X") @ item.matrix_world
     return item
 
 
@@ -244,8 +247,9 @@ class AssetOperator(Runner, bpy.types.Operator):
         program = find_programs(context, "bisque-asset")["bisque-asset"]
         scans = find_scans(settings)
         name = os.path.basename(scans[0]).split(".")[0]
-        self.output, self.z_up = os.path.join(make_folder(settings), name + ".glb"), settings.z_up
-        options = ["--preset", settings.asset_preset]
+        self.output = os.path.join(make_folder(settings), name + ".glb")
+        options = ["--preset", settings.asset_preset, "--up", "z" if settings.z_up else "y"]
+        options += ["--units", settings.units] if settings.units != "m" else []
         if settings.asset_triangles:
             options += ["--triangles", str(settings.asset_triangles), "--size", settings.size]
         if settings.memory:
@@ -258,7 +262,7 @@ class AssetOperator(Runner, bpy.types.Operator):
         for level in result["levels"]:
             folder = os.path.splitext(self.output)[0] + "_asset"
             glb = next(name for name in level["files"] if name.endswith(".glb"))
-            items.append(add_asset(os.path.join(os.path.dirname(self.output), glb), self.z_up))
+            items.append(add_asset(os.path.join(os.path.dirname(self.output), glb)))
             items[-1].hide_set(level is not result["levels"][-1])
             pictures.append(os.path.join(folder, level["name"] if len(result["levels"]) > 1 else "", "preview.png"))
         material.show_preview(pictures[-1])
@@ -272,7 +276,7 @@ class Panel(bpy.types.Panel):
     def draw(self, context):
         layout, settings = self.layout, context.scene.bisque
         layout.use_property_split = True
-        for name in ("scan", "folder", "memory", "z_up", "size"):
+        for name in ("scan", "folder", "memory", "z_up", "units", "size"):
             layout.prop(settings, name)
         if settings.stage:
             layout.progress(factor=settings.share / 100, text=f"{settings.stage} (Esc cancels)")
