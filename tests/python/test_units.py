@@ -177,6 +177,18 @@ def test_scans_that_are_wound_right_stay(tmp_path):
         assert report["pieces"] == 1 + (name == "hollow")
 
 
+def test_inner_walls_turn_with_the_others():
+    points, faces = sphere(40, True)
+    both = np.concatenate([faces, faces[:, ::-1] + len(points)])[:, ::-1]
+    low = bisque.simplify((np.concatenate([points, 0.9 * points]), both), triangles=800)
+    mesh, report = repair.orient(low, {})
+    assert report["turned_pieces"] == 2 and np.array_equal(mesh.faces, low.faces[:, ::-1])
+    # One shell inside out beside one that is not: the inner walls stay.
+    apart = np.concatenate([points, 0.9 * points, points + [3, 0, 0]])
+    low = bisque.simplify((apart, np.concatenate([both, faces + 2 * len(points)])), triangles=800)
+    assert repair.orient(low, {})[1]["turned_pieces"] == 1
+
+
 def test_a_strip_of_moebius_shows_both_sides(tmp_path):
     t = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     w = np.linspace(-0.3, 0.3, 9)

@@ -15,9 +15,10 @@ from .place import parse_length
 
 #: Points of the mesh at which rays test the scan; those of each piece, and of all, that test where outside is.
 PROBES, PIECE_PROBES, MOST_PIECE_PROBES = 4096, 48, 50_000
-#: Of the sky that a point of a piece sees: a piece is inside out if its front sees less than the one, and its back more
-#: than the other.
-FRONT_SKY, BACK_SKY = 0.15, 0.5
+#: Of the sky that a piece sees on average: a side that sees less than the first, and less than a quarter of the other
+#: side, which sees more than the second, is the inner one. Pieces without such a side, as inner walls, follow the others
+#: if these have at least so much of the area.
+INNER_SKY, OUTER_SKY, MAJORITY = 0.15, 0.2, 0.9
 #: Share of the rays that may miss the scan before it is tested from both sides.
 MISSES = 0.0005
 #: Hard edges: where the scan is looked at along an edge, and on the way from there to the third corner; and the
@@ -191,6 +192,11 @@ def _sky(mesh: Mesh, piece: np.ndarray, areas: np.ndarray, job: dict) -> tuple[n
     return roots, *(np.bincount(of, side, len(roots)) / counts for side in sky)
 
 
+def _is_inner(side: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Returns which sides, by the sky that they and the other ones see, are inner ones."""
+    return (side < INNER_SKY) & (other > OUTER_SKY) & (other > 4 * side)
+
+
 def _turn(mesh: Mesh, turned: np.ndarray) -> Mesh:
     faces = mesh.faces.copy()
     faces[turned] = faces[turned][:, ::-1]
@@ -199,12 +205,16 @@ def _turn(mesh: Mesh, turned: np.ndarray) -> Mesh:
 
 def orient(mesh: Mesh, job: dict) -> tuple[Mesh, dict]:
     """Makes the winding of each connected piece consistent, and turns pieces that are inside out: those that see hardly
-    any sky in front of them, and much of it behind (Takayama and others, 2014)."""
+    any sky in front of them, and more of it behind (Takayama and others, 2014)."""
     turned, piece, impossible = _make_consistent(mesh.faces)
     result = _turn(mesh, turned) if turned.any() else mesh
     areas = _normals(result)[1]
     roots, front, back = _sky(result, piece, areas, job)
-    inside_out = roots[(front < FRONT_SKY) & (back > BACK_SKY)]
+    inward, outward = (_is_inner(*sides) for sides in ((front, back), (back, front)))
+    of_piece = np.bincount(np.searchsorted(roots, piece), areas)
+    if of_piece[inward].sum() > MAJORITY * of_piece[inward | outward].sum():
+        inward = ~outward
+    inside_out = roots[inward]
     if len(inside_out):
         result = _turn(result, np.isin(piece, inside_out))
     share = areas[np.isin(piece, inside_out)].sum() / areas.sum()
