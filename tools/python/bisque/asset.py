@@ -117,6 +117,8 @@ def _low_of(steps: Steps, scan: str, given: Any, level: dict, job: dict) -> Mesh
     options["version"] = metadata.version(level["library"])
     found = steps.run("unwrap" + suffix, inputs, options, [unwrapped], make)
     mesh = read_mesh(str(unwrapped))
+    if mended.get("closed_holes"):  # it was measured without these faces
+        report = {key: value for key, value in report.items() if key not in ("from_scan", "from_mesh")}
     mesh.report = {**report, "uv": found, "mended": mended}
     return mesh
 

@@ -15,9 +15,9 @@ from .place import parse_length
 
 #: Points of the mesh at which rays test the scan; those of each piece, and of all, that test where outside is.
 PROBES, PIECE_PROBES, MOST_PIECE_PROBES = 4096, 48, 50_000
-#: Of the sky that a piece sees on average: a side that sees less than the first, and less than a quarter of the other
-#: side, which sees more than the second, is the inner one. Pieces without such a side, as inner walls, follow the others
-#: if these have at least so much of the area.
+#: Of the sky that a piece sees on average: a side that sees less than the first, and less than a quarter of the
+#: other side, which sees more than the second, is the inner one. Pieces without such a side, as inner walls, follow
+#: the others if these have at least so much of the area.
 INNER_SKY, OUTER_SKY, MAJORITY = 0.15, 0.2, 0.9
 #: Share of the rays that may miss the scan before it is tested from both sides.
 MISSES = 0.0005

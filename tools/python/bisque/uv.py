@@ -24,7 +24,7 @@ class UnwrapError(Error):
         super().__init__(65, message)
 
 
-ADVICE = ("ask for fewer triangles, drop small pieces (min_component=0.01), or take the other "
+ADVICE = ("ask for fewer triangles, drop small pieces (min_component=1), or take the other "
           "library (library={other!r})")
 
 #: Charts with fewer texels are small, and get that many if more than a share of all are; neither library
