@@ -277,7 +277,8 @@ struct bake_options {
     /** The first view of the preview, in degrees around the vertical axis, from the front on to its
      * right (seen from the mesh: to its left); below 0: the view that shows most. */
     double preview_from;
-    double preview_above; /**< How far all views look down, in degrees. */
+    /** How far all views look down, in degrees; below 0: 17, or near where an open mesh faces. */
+    double preview_above;
     /** Gets the rows of all maps, never concurrently; NULL: nobody does. Of a map that several
      * objects or tiles have, one file's rows come after the other's. A negative status ends the job
      * and is returned. */

@@ -4,6 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "base/colour_difference.h"
 #include "base/srgb.h"
 #include "base/parallel.h"
 #include "base/text.h"
@@ -362,9 +363,9 @@ static float angle_between(const float a[3], const float b[3])
 static float colour_difference(const float a[3], const float b[3])
 {
     double lab_a[3], lab_b[3];
-    bake_lab(a, lab_a);
-    bake_lab(b, lab_b);
-    return (float)bake_ciede2000(lab_a, lab_b);
+    bsq_lab(a, lab_a);
+    bsq_lab(b, lab_b);
+    return (float)bsq_ciede2000(lab_a, lab_b);
 }
 
 static float largest_difference(const struct bake_comparison *c, uint64_t texel)

@@ -65,13 +65,4 @@ int bake_comparison_summarise(struct bsq_ctx *ctx, const struct bake_compare_opt
                               const struct bake_comparison *comparison,
                               struct bake_compare_report *report);
 
-/* ---- colours ---- */
-
-/* Converts a linear Rec. 709 colour to CIELAB under D65 (IEC 61966-2-1, CIE 15). */
-void bake_lab(const float linear[3], double lab[3]);
-
-/* Returns the CIEDE2000 difference of two CIELAB colours (CIE 142; Sharma, Wu & Dalal, "The
- * CIEDE2000 Color-Difference Formula: Implementation Notes", 2005). About 1 is just noticeable. */
-double bake_ciede2000(const double a[3], const double b[3]);
-
 #endif

@@ -70,8 +70,8 @@ struct bake_job {
     struct bake_curvature_counts curvature; /* over those that were traced */
     struct bake_device *device;             /* NULL: triangles or several scans are traced */
     struct bake_preview_tile *preview_tiles;
-    struct bsq_output *preview;      /* complete; NULL: there is none yet */
-    double preview_from;             /* where its first view is, in degrees around */
+    struct bsq_output *preview; /* complete; NULL: there is none yet */
+    struct bake_preview_views preview_views;
     struct bake_asset *asset;        /* NULL: there is none */
     struct bake_part_texts identity; /* of a bake in parts: those that all files share */
     uint64_t texels, part_texels;    /* that triangles cover; of the job's part */

@@ -325,7 +325,7 @@ int bake_write_preview(struct bake_job *job)
                                          .tile_count = job->udim.count,
                                          .options = job->options};
     job->report->preview_up = bake_preview_up_axis(&preview) == 2 ? BAKE_UP_Z : BAKE_UP_Y;
-    return bake_preview_write(job->ctx, path, &preview, &job->preview_from, &job->preview);
+    return bake_preview_write(job->ctx, path, &preview, &job->preview_views, &job->preview);
 }
 
 int bake_commit_outputs(struct bake_job *job)
@@ -340,8 +340,9 @@ int bake_commit_outputs(struct bake_job *job)
     }
     if (job->preview && job->options->page)
         BSQ_TRY(bake_page_add(job->options->page,
-                              json_pack("{s:s, s:f, s:f}", "kind", "preview", "from",
-                                        job->preview_from, "above", job->options->preview_above),
+                              json_pack("{s:s, s:f, s:f, s:f}", "kind", "preview", "from",
+                                        job->preview_views.from, "above", job->preview_views.above,
+                                        "step", job->preview_views.step),
                               job->preview));
     if (job->preview && job->options->preview_path) {
         struct bsq_output *preview = job->preview;

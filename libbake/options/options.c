@@ -242,8 +242,9 @@ static const struct bsq_option table[] = {
      FINISHES, .needs = PREVIEW},
     {KEY("view", "from", "DEG", "of the first view, around from the front; auto: the most telling"),
      .words = "auto", NUMBER(preview_from, 360, -1), FINISHES, .needs = PREVIEW},
-    {KEY("view", "above", "DEG", "how far views look down, to 90 degrees"),
-     NUMBER(preview_above, 90, 17), FINISHES, .needs = PREVIEW},
+    {KEY("view", "above", "DEG",
+         "how far views look down, to 90 degrees; auto: 17 on closed meshes"),
+     .words = "auto", NUMBER(preview_above, 90, -1), FINISHES, .needs = PREVIEW},
     {KEY("view", "up", "AXIS", "the vertical axis: y, z or auto"), CHOICE(preview_up, "auto y z"),
      FINISHES, .needs = PREVIEW},
 

@@ -1,8 +1,11 @@
 /* preview.c - renders the views one by one, band by band on all threads, and writes the PNG. */
 #include "libbake/preview/preview.h"
 
+#include <math.h>
+#include <stdio.h>
 #include <string.h>
 
+#include "base/colour_difference.h"
 #include "base/parallel.h"
 #include "formats/image/image_writer.h"
 #include "libbake/preview/preview_view.h"
@@ -10,6 +13,7 @@
 enum {
     PANELS = 3,
     SEPARATOR = 4,
+    LINE = 24,        /* pixel rows of the line below each view */
     SIDE_ALONE = 768, /* of the panels of a single view */
     SIDE = 384,       /* of the panels of each of several views: four take the time of one */
     PROBE_SIDE = 96,  /* of the pictures that tell which view shows most */
@@ -27,7 +31,7 @@ struct rendering {
     uint32_t side, width; /* of a panel and of the picture */
     struct preview_view view;
     struct preview_band *bands; /* one a worker */
-    float *pixels;              /* of a view: side x width x 3 */
+    float *pixels;              /* of a view: (side + LINE) x width x 3 */
 };
 
 /* Computes the colours of a sample in the mesh's two panels. x, y: in samples; band_y: y inside the
@@ -94,9 +98,9 @@ struct strip {
     uint32_t first_row, rows; /* pixels */
     uint32_t row_rays;        /* of a row of pixels */
     struct bake_ray *rays;
-    struct bake_hit *hits;
-    float *pixels; /* of the panel's first row */
-    size_t stride; /* floats from row to row */
+    struct bake_hit *hits, *backs; /* what faces the camera, and what faces away */
+    float *pixels;                 /* of the panel's first row */
+    size_t stride;                 /* floats from row to row */
 };
 
 /* Returns the number of a sample's ray. Rays follow each other down columns of COLUMN samples, as
@@ -135,16 +139,20 @@ static int cast_column(void *arg, uint64_t index, unsigned worker)
     return 0;
 }
 
-static struct bsq_vec3 hit_color(const struct strip *strip, const struct bake_hit *hit,
-                                 uint32_t row)
+static struct bsq_vec3 hit_color(const struct strip *strip, uint64_t ray, uint32_t row)
 {
+    const struct bake_hit *hit = &strip->hits[ray], *back = &strip->backs[ray];
+    /* Planes of voxels beside an edge must not show before its front. */
+    const bool behind =
+        back->triangle != BAKE_NO_HIT &&
+        (hit->triangle == BAKE_NO_HIT || back->t < hit->t - 2 * strip->preview->surface->detail);
+    if (behind)
+        hit = back;
     if (hit->triangle == BAKE_NO_HIT)
         return bake_preview_background(row, strip->view->side);
     struct bsq_vec3 normal = bsq_v3(hit->normal[0], hit->normal[1], hit->normal[2]);
-    const double *toward = strip->view->toward;
-    const double facing = normal.x * toward[0] + normal.y * toward[1] + normal.z * toward[2];
-    if (strip->preview->options->two_sided && facing < 0)
-        normal = bsq_scale3(normal, -1.0f);
+    if (behind || strip->preview->options->two_sided)
+        normal = bake_preview_turn_normal(strip->view, normal);
     /* Without a colour map the mesh is grey; so is the scan, to be compared with it. */
     struct bsq_vec3 albedo = strip->preview->tiles[0].color->texels
                                  ? bsq_v3(hit->color[0], hit->color[1], hit->color[2])
@@ -164,9 +172,7 @@ static int shade_row(void *arg, uint64_t index, unsigned worker)
         for (uint32_t j = 0; j < PREVIEW_GRID; ++j)
             for (uint32_t i = 0; i < PREVIEW_GRID; ++i)
                 sum = bsq_add3(
-                    sum, hit_color(strip,
-                                   &strip->hits[ray_at(strip, column * PREVIEW_GRID + i, top + j)],
-                                   row));
+                    sum, hit_color(strip, ray_at(strip, column * PREVIEW_GRID + i, top + j), row));
         sum = bsq_scale3(sum, 1.0f / (PREVIEW_GRID * PREVIEW_GRID));
         out[0] = sum.x;
         out[1] = sum.y;
@@ -178,15 +184,17 @@ static int shade_row(void *arg, uint64_t index, unsigned worker)
 static int render_strip(struct strip *strip)
 {
     struct bsq_ctx *ctx = strip->preview->surface->ctx;
-    const struct bake_surface_rays rays = {
-        .batch = {.rays = strip->rays,
-                  .hits = strip->hits,
-                  .count = (uint64_t)strip->rows * strip->row_rays,
-                  .t_min = 0,
-                  .t_max = strip->view->scan_span,
-                  .facing_origin = true},
-        .best = true}; /* the reference is as accurate as possible */
+    struct bake_surface_rays rays = {.batch = {.rays = strip->rays,
+                                               .hits = strip->hits,
+                                               .count = (uint64_t)strip->rows * strip->row_rays,
+                                               .t_min = 0,
+                                               .t_max = strip->view->scan_span,
+                                               .facing_origin = true},
+                                     .best = true}; /* the reference is as accurate as possible */
     BSQ_PASS(bsq_parallel_for(ctx, strip->view->samples / COLUMN, cast_column, strip));
+    BSQ_PASS(bake_surface_trace(strip->preview->surface, &rays));
+    rays.batch.hits = strip->backs;
+    rays.batch.facing_origin = false;
     BSQ_PASS(bake_surface_trace(strip->preview->surface, &rays));
     return bsq_parallel_for(ctx, strip->rows, shade_row, strip);
 }
@@ -199,11 +207,12 @@ static int render_scan_panel(const struct bake_preview *preview, const struct pr
     const uint32_t side = view->side, row_rays = view->samples * PREVIEW_GRID;
     struct strip strip = {
         .preview = preview, .view = view, .row_rays = row_rays, .pixels = pixels, .stride = stride};
-    uint64_t most = bake_surface_capacity(preview->surface, 0) / row_rays;
+    uint64_t most = bake_surface_capacity(preview->surface, sizeof *strip.backs) / row_rays;
     most = most < 1 ? 1 : most > side ? side : most;
     int status = 0;
     BSQ_TRY(bsq_alloc(ctx, "preview", most, row_rays * sizeof *strip.rays, &strip.rays));
     BSQ_TRY(bsq_alloc(ctx, "preview", most, row_rays * sizeof *strip.hits, &strip.hits));
+    BSQ_TRY(bsq_alloc(ctx, "preview", most, row_rays * sizeof *strip.backs, &strip.backs));
     for (uint32_t row = 0; row < side; row += strip.rows) {
         strip.first_row = row;
         strip.rows = side - row < most ? side - row : (uint32_t)most;
@@ -211,7 +220,7 @@ static int render_scan_panel(const struct bake_preview *preview, const struct pr
         bsq_progress_add(ctx, strip.rows);
     }
 done:
-    BSQ_FREE(ctx, strip.hits, strip.rays);
+    BSQ_FREE(ctx, strip.backs, strip.hits, strip.rays);
     return status;
 }
 
@@ -221,8 +230,8 @@ static int preview_allocate(struct rendering *r)
 {
     struct bsq_ctx *ctx = r->ctx;
     const uint64_t samples = (uint64_t)PREVIEW_BAND * PREVIEW_GRID * r->side * PREVIEW_GRID;
-    BSQ_PASS(
-        bsq_calloc(ctx, "preview", (uint64_t)r->width * r->side, 3 * sizeof(float), &r->pixels));
+    BSQ_PASS(bsq_calloc(ctx, "preview", (uint64_t)r->width * (r->side + LINE), 3 * sizeof(float),
+                        &r->pixels));
     BSQ_PASS(BSQ_CALLOC(ctx, "preview", bsq_threads(ctx), &r->bands));
     for (unsigned w = 0; w < bsq_threads(ctx); ++w) {
         BSQ_PASS(bsq_alloc(ctx, "preview", samples, sizeof(float), &r->bands[w].depth));
@@ -277,22 +286,22 @@ static double sum_changes(const struct rendering *r)
     return sum;
 }
 
-/* Finds where the first view is, in degrees around the mesh. */
-static int find_first_view(struct rendering *r, int up, double *out)
+/* Finds where the first view is. */
+static int find_first_view(struct rendering *r, int up, struct bake_preview_views *views)
 {
     const uint32_t side = r->side;
     double most = 0;
     int status = 0;
-    *out = r->preview->options->preview_from < 0 ? first_probe : r->preview->options->preview_from;
+    views->from = first_probe;
     r->side = PROBE_SIDE;
-    for (uint32_t i = 0; r->preview->options->preview_from < 0 && i < PROBES; ++i) {
+    for (uint32_t i = 0; i < PROBES; ++i) {
         const double from = first_probe + i * 360.0 / PROBES;
-        bake_preview_view_set(r->preview, from, up, r->side, &r->view);
+        bake_preview_view_set(r->preview, from, views->above, up, r->side, &r->view);
         BSQ_TRY(bsq_parallel_for(r->ctx, r->side / PREVIEW_BAND, render_band, r));
         const double changes = sum_changes(r) * (i == 0 ? front_bonus : 1);
         if (changes > most) {
             most = changes;
-            *out = from;
+            views->from = from;
         }
     }
 done:
@@ -301,17 +310,95 @@ done:
     return status;
 }
 
-/* Renders and writes all views. The pixels between panels stay black. */
-static int write_views(struct rendering *r, struct fmt_image_writer *writer, double *first)
+/* ---- the difference below each view ---- */
+
+/* Glyphs of 5 x 7 pixels: a byte for each row, with the leftmost pixel in bit 4. */
+static const struct {
+    char letter;
+    uint8_t rows[7];
+} glyphs[] = {
+    {'0', {0x0e, 0x11, 0x13, 0x15, 0x19, 0x11, 0x0e}},
+    {'1', {0x04, 0x0c, 0x04, 0x04, 0x04, 0x04, 0x0e}},
+    {'2', {0x0e, 0x11, 0x01, 0x02, 0x04, 0x08, 0x1f}},
+    {'3', {0x1f, 0x02, 0x04, 0x02, 0x01, 0x11, 0x0e}},
+    {'4', {0x02, 0x06, 0x0a, 0x12, 0x1f, 0x02, 0x02}},
+    {'5', {0x1f, 0x10, 0x1e, 0x01, 0x01, 0x11, 0x0e}},
+    {'6', {0x06, 0x08, 0x10, 0x1e, 0x11, 0x11, 0x0e}},
+    {'7', {0x1f, 0x01, 0x02, 0x04, 0x08, 0x08, 0x08}},
+    {'8', {0x0e, 0x11, 0x11, 0x0e, 0x11, 0x11, 0x0e}},
+    {'9', {0x0e, 0x11, 0x11, 0x0f, 0x01, 0x02, 0x0c}},
+    {'m', {0x00, 0x00, 0x1a, 0x15, 0x15, 0x11, 0x11}},
+    {'e', {0x00, 0x00, 0x0e, 0x11, 0x1f, 0x10, 0x0e}},
+    {'a', {0x00, 0x00, 0x0e, 0x01, 0x0f, 0x11, 0x0f}},
+    {'n', {0x00, 0x00, 0x16, 0x19, 0x11, 0x11, 0x11}},
+    {'d', {0x01, 0x01, 0x0d, 0x13, 0x11, 0x11, 0x0f}},
+    {'E', {0x1f, 0x10, 0x10, 0x1e, 0x10, 0x10, 0x1f}},
+    {'.', {0x00, 0x00, 0x00, 0x00, 0x00, 0x0c, 0x0c}},
+};
+enum { GLYPHS = sizeof glyphs / sizeof *glyphs, GLYPH_STEP = 12 }; /* 2 x 2 pixels for each */
+
+static void draw_letter(const struct rendering *r, char letter, uint32_t left)
 {
-    const int up = bake_preview_up_axis(r->preview);
-    int status = find_first_view(r, up, first);
+    size_t g = 0;
+    while (g < GLYPHS && glyphs[g].letter != letter)
+        g++;
+    for (uint32_t y = 0; g < GLYPHS && y < 14; y++)
+        for (uint32_t x = 0; x < 10; x++) {
+            float *pixel = r->pixels + ((size_t)(r->side + 6 + y) * r->width + left + x) * 3;
+            if (glyphs[g].rows[y / 2] >> (4 - x / 2) & 1)
+                pixel[0] = pixel[1] = pixel[2] = 0.6f;
+        }
+}
+
+/* Returns whether a panel shows a surface at a pixel. */
+static bool shows_surface(const float pixel[3], struct bsq_vec3 background)
+{
+    return fabsf(pixel[0] - background.x) + fabsf(pixel[1] - background.y) +
+               fabsf(pixel[2] - background.z) >
+           1e-6f;
+}
+
+/* Writes the mean difference of mesh and scan below the view, between their panels: CIEDE2000 of
+ * the pixels, of which each second one of a row is taken, that show either. */
+static void write_difference(const struct rendering *r)
+{
+    const size_t next = ((size_t)r->side + SEPARATOR) * 3;
+    double sum = 0, lab[2][3];
+    uint32_t count = 0;
+    char text[40];
+    memset(r->pixels + (size_t)r->side * r->width * 3, 0,
+           (size_t)LINE * r->width * 3 * sizeof *r->pixels);
+    for (uint32_t y = 0; y < r->side; y++)
+        for (uint32_t x = y % 2; x < r->side; x += 2) {
+            const float *mapped = r->pixels + ((size_t)y * r->width + x) * 3 + next,
+                        *scan = mapped + next;
+            const struct bsq_vec3 background = bake_preview_background(y, r->side);
+            if (!shows_surface(mapped, background) && !shows_surface(scan, background))
+                continue;
+            bsq_lab(mapped, lab[0]);
+            bsq_lab(scan, lab[1]);
+            sum += bsq_ciede2000(lab[0], lab[1]);
+            count++;
+        }
+    snprintf(text, sizeof text, "mean dE2000 %.2f", count > 0 ? sum / count : 0);
+    const uint32_t length = (uint32_t)strlen(text), middle = 2 * r->side + SEPARATOR;
+    for (uint32_t i = 0; i < length; i++)
+        draw_letter(r, text[i], middle + GLYPH_STEP * i - GLYPH_STEP * length / 2);
+}
+
+/* Renders and writes all views. The pixels between panels stay black. */
+static int write_views(struct rendering *r, struct fmt_image_writer *writer, int up,
+                       const struct bake_preview_views *views)
+{
+    int status = 0;
     for (uint32_t i = 0; status == 0 && i < r->preview->options->preview_views; ++i) {
-        const double from = *first + i * 360.0 / r->preview->options->preview_views;
-        bake_preview_view_set(r->preview, from, up, r->side, &r->view);
+        bake_preview_view_set(r->preview, views->from + i * views->step, views->above, up, r->side,
+                              &r->view);
         status = render_view(r);
-        if (status == 0)
-            status = fmt_image_write_rows(writer, r->pixels, r->side);
+        if (status == 0) {
+            write_difference(r);
+            status = fmt_image_write_rows(writer, r->pixels, r->side + LINE);
+        }
         if (status < 0 || i + 1 == r->preview->options->preview_views)
             break;
         memset(r->pixels, 0, (size_t)SEPARATOR * r->width * 3 * sizeof *r->pixels);
@@ -321,8 +408,10 @@ static int write_views(struct rendering *r, struct fmt_image_writer *writer, dou
 }
 
 int bake_preview_write(struct bsq_ctx *ctx, const char *path, const struct bake_preview *preview,
-                       double *from, struct bsq_output **out)
+                       struct bake_preview_views *views, struct bsq_output **out)
 {
+    const int up = bake_preview_up_axis(preview);
+    const bool placed = bake_preview_place_views(preview, up, views);
     struct rendering r = {.ctx = ctx,
                           .preview = preview,
                           .side = preview->options->preview_views == 1 ? SIDE_ALONE : SIDE};
@@ -331,16 +420,18 @@ int bake_preview_write(struct bsq_ctx *ctx, const char *path, const struct bake_
     r.width = PANELS * r.side + (PANELS - 1) * SEPARATOR;
     const struct fmt_image_options options = {
         .width = r.width,
-        .height = preview->options->preview_views * (r.side + SEPARATOR) - SEPARATOR,
+        .height = preview->options->preview_views * (r.side + LINE + SEPARATOR) - SEPARATOR,
         .channel_count = 3,
         .type = FMT_UINT8,
         .color = true};
     BSQ_TRY(fmt_image_create(ctx, &fmt_png_format, path, &options, &writer));
     BSQ_TRY(preview_allocate(&r));
-    const uint64_t probe_rows = preview->options->preview_from < 0 ? PROBES * PROBE_SIDE : 0;
+    const uint64_t probe_rows = placed ? 0 : PROBES * PROBE_SIDE;
     bsq_progress_begin(ctx, "preview", "rows",
                        UINT64_C(2) * r.side * preview->options->preview_views + probe_rows);
-    status = write_views(&r, writer, from);
+    status = placed ? 0 : find_first_view(&r, up, views);
+    if (status == 0)
+        status = write_views(&r, writer, up, views);
     bsq_progress_end(ctx);
     if (status == 0) {
         status = fmt_image_hand_over(writer, out);

@@ -1,6 +1,8 @@
 /* preview.h - a picture that shows whether a bake is right. Takes the low-poly mesh, thumbnails of
  * its maps and the scan's surface; gives a PNG. A row of the picture shows one view of three things
- * in the same light: the mesh plain, the mesh with its maps, and the scan. Views go around. */
+ * in the same light and from both sides: the mesh plain, the mesh with its maps, and the scan.
+ * Below it stands how far the second is from the third. Views go around, or look at the front of a
+ * mesh that is open. */
 #ifndef BAKE_PREVIEW_PREVIEW_H
 #define BAKE_PREVIEW_PREVIEW_H
 
@@ -25,16 +27,22 @@ struct bake_preview {
     const struct bake_options *options;
 };
 
+/* Where cameras are, in degrees: the first around the mesh from its front on; down; and from one to
+ * the next. */
+struct bake_preview_views {
+    double from, above, step;
+};
+
 /* Returns the vertical axis, 1 or 2, of `preview_up` or else the mesh suggests: the one on
  * whose lower end more of the mesh's surface lies flat, as things stand on the ground, or more of
  * it is missing, as below a bust that was scanned on a table. Axis 1 if there is no such
  * difference, the mesh is thin along axis 2, or it would fall over if it stood on that end. */
 int bake_preview_up_axis(const struct bake_preview *preview);
 
-/* Renders on all threads. Must not be called from parallel work. *from: where the first view is, in
- * degrees around. *out: the complete PNG, for the caller to commit. Errors: those of
- * fmt_image_create() and bake_surface_trace(), BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
+/* Renders on all threads. Must not be called from parallel work. *out: the complete PNG, for the
+ * caller to commit. Errors: those of fmt_image_create() and bake_surface_trace(), BSQ_EIO,
+ * BSQ_ENOMEM, BSQ_EINTR. */
 int bake_preview_write(struct bsq_ctx *ctx, const char *path, const struct bake_preview *preview,
-                       double *from, struct bsq_output **out);
+                       struct bake_preview_views *views, struct bsq_output **out);
 
 #endif

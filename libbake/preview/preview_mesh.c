@@ -197,13 +197,18 @@ void bake_preview_mesh_sample(const struct bake_preview *preview, const struct p
     const float weights[3] = {(float)w[0], (float)w[1], (float)w[2]};
     struct bsq_vec3 normal = bsq_unit3(blend(mesh->normals[triangle], weights));
     struct bsq_vec3 albedo = bake_preview_grey();
+    const bool back = edge(p[0], p[1], p[2][0], p[2][1]) > 0; /* y points downwards */
     float at[2];
+    if (back)
+        normal = bake_preview_turn_normal(view, normal);
     *plain = *mapped = bake_preview_shade(view, normal, albedo);
     const struct bake_preview_tile *tile = tile_at(preview, triangle, weights, at);
     if (!tile)
         return;
     if (tile->normal->texels)
         normal = mapped_normal(preview, triangle, weights, tile->normal, at);
+    if (back)
+        normal = bake_preview_turn_normal(view, normal);
     if (tile->color->texels) {
         float color[3];
         bake_thumbnail_sample(tile->color, at[0], at[1], color);

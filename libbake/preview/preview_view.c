@@ -119,7 +119,58 @@ int bake_preview_up_axis(const struct bake_preview *preview)
     return z.area > y.area && is_stable(mesh, &z, 2) ? 2 : 1;
 }
 
-/* ---- the view ---- */
+/* ---- the views ---- */
+
+/* An open mesh faces one way on the whole: the sum of the areas that it shows to each side is more
+ * than this part of all its area. Closed ones have 0. */
+static const double open_share = 1.0 / 3;
+static const double usual_above = 17, most_aside = 30; /* degrees */
+/* Degrees around in which an open mesh is seen, and by which their middle is aside from its front,
+ * so that the light from the left is on it. */
+static const double fan = 90, lit = 15;
+
+/* Computes where a mesh faces on the whole: to the right, upwards and to the front, in parts of its
+ * area. */
+static void find_facing(const struct bake_lowmesh *mesh, int up, double out[3])
+{
+    double sum[3] = {0}, area = 0;
+    for (uint64_t t = 0; t < mesh->triangle_count; ++t) {
+        const double(*p)[3] = (const double(*)[3])mesh->positions[t];
+        area += 2 * bake_lowmesh_area(mesh, t);
+        for (int k = 0; k < 3; ++k)
+            sum[k] += facing_up(p, k);
+    }
+    const double scale = area > 0 ? 1 / area : 0;
+    out[0] = scale * sum[0];
+    out[1] = scale * sum[up];
+    out[2] = scale * (up == 1 ? sum[2] : -sum[1]);
+}
+
+bool bake_preview_place_views(const struct bake_preview *preview, int up,
+                              struct bake_preview_views *out)
+{
+    const struct bake_options *options = preview->options;
+    double facing[3];
+    find_facing(preview->mesh, up, facing);
+    const double aside = hypot(facing[0], facing[2]), whole = hypot(aside, facing[1]);
+    const double high = atan2(facing[1], aside) * radian;
+    const bool open = whole > open_share;
+    *out = (struct bake_preview_views){.from = options->preview_from,
+                                       .above = options->preview_above,
+                                       .step = 360.0 / options->preview_views};
+    if (out->above < 0)
+        out->above =
+            open ? fmin(fmax(usual_above, high - most_aside), high + most_aside) : usual_above;
+    if (out->from >= 0 || !open || aside < whole / 2)
+        return out->from >= 0;
+    out->step = fan / options->preview_views;
+    out->from =
+        atan2(facing[0], facing[2]) * radian + lit - out->step * (options->preview_views - 1) / 2;
+    out->from += out->from < 0 ? 360 : 0;
+    return true;
+}
+
+/* ---- a view ---- */
 
 static struct bsq_vec3 direction(const struct preview_view *view, double right, double up,
                                  double toward)
@@ -168,18 +219,25 @@ static void span_scan(const struct bake_surface *scan, struct preview_view *view
     view->scan_span = nearest - farthest + 2 * rim;
 }
 
-void bake_preview_view_set(const struct bake_preview *preview, double from, int up, uint32_t side,
-                           struct preview_view *view)
+void bake_preview_view_set(const struct bake_preview *preview, double from, double above, int up,
+                           uint32_t side, struct preview_view *view)
 {
     view->side = side;
     view->samples = side * PREVIEW_GRID;
-    set_axes(from / radian, preview->options->preview_above / radian, up, view);
+    set_axes(from / radian, above / radian, up, view);
     view->key = direction(view, -0.55, 0.65, 0.55);
     view->fill = direction(view, 0.85, 0.05, 0.5);
     view->half = bsq_unit3(bsq_add3(
         view->key, bsq_v3((float)view->toward[0], (float)view->toward[1], (float)view->toward[2])));
     frame_mesh(preview->mesh, view);
     span_scan(preview->surface, view);
+}
+
+struct bsq_vec3 bake_preview_turn_normal(const struct preview_view *view, struct bsq_vec3 normal)
+{
+    const double *t = view->toward;
+    const bool away = normal.x * t[0] + normal.y * t[1] + normal.z * t[2] < 0;
+    return bsq_scale3(normal, away ? -1.0f : 1.0f);
 }
 
 static float above_zero(float v)

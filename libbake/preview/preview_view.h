@@ -25,10 +25,18 @@ struct preview_view {
     double scan_span;                  /* length of a camera ray that crosses all of the scan */
 };
 
-/* Frames the low-poly mesh. from: degrees around, 0 at the front. up: the vertical axis, 1 or 2.
- * side: of a panel, in pixels. */
-void bake_preview_view_set(const struct bake_preview *preview, double from, int up, uint32_t side,
-                           struct preview_view *view);
+/* Chooses the views of the options. up: the vertical axis, 1 or 2. Returns false if nothing tells
+ * where the first one should be. */
+bool bake_preview_place_views(const struct bake_preview *preview, int up,
+                              struct bake_preview_views *out);
+
+/* Frames the low-poly mesh. from, above: degrees around, 0 at the front, and down. up: the vertical
+ * axis, 1 or 2. side: of a panel, in pixels. */
+void bake_preview_view_set(const struct bake_preview *preview, double from, double above, int up,
+                           uint32_t side, struct preview_view *view);
+
+/* Turns the normal of a surface that is seen from behind to the camera, if it is not there yet. */
+struct bsq_vec3 bake_preview_turn_normal(const struct preview_view *view, struct bsq_vec3 normal);
 
 /* Returns the linear light that a matt surface sends to the camera. */
 struct bsq_vec3 bake_preview_shade(const struct preview_view *view, struct bsq_vec3 normal,

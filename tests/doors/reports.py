@@ -34,7 +34,7 @@ COMPARE = """(async (view, panel) => {
     return context.getImageData(0, 0, side, side).data;
   };
   const drawn = read(c => c.drawImage(document.getElementById('view'), 0, 0, side, side));
-  const given = read(c => c.drawImage(image, panel * (side + 4), view * (side + 4), side, side, 0, 0, side, side));
+  const given = read(c => c.drawImage(image, panel * (side + 4), view * (side + 28), side, side, 0, 0, side, side));
   let sum = 0, covered = 0;
   for (let i = 0; i < drawn.length; i += 4) {
     if (drawn[i + 3] < 255) continue;

@@ -106,6 +106,7 @@ void main() {
   if (greenDown) m.y = -m.y;
   vec3 turned = !hasNormal ? n : objectSpace ? m : m.x * t.xyz + m.y * t.w * cross(n, t.xyz) + m.z * n;
   vec3 facing = normalize(normalMatrix * turned);
+  if (!gl_FrontFacing && facing.z < 0.0) facing = -facing;
   vec3 key = normalize(vec3(-0.55, 0.65, 0.55)), fill = normalize(vec3(0.85, 0.05, 0.5));
   vec2 found = texture2D(mapMissed, at).rg;
   vec3 albedo = mix(hasColor ? light(texture2D(mapColor, at).rgb) : vec3(0.6), vec3(1.0, 0.01, 0.01),
@@ -152,7 +153,7 @@ class Viewer {
   look(index) {
     const box = new THREE.Box3(), point = new THREE.Vector3();
     this.root.position.set(0, 0, 0);
-    this.pose(previewItem.from + 360 * index / meshItem.views, previewItem.above);
+    this.pose(previewItem.from + previewItem.step * index, previewItem.above);
     this.scene.updateMatrixWorld(true);
     for (const {geometry: {attributes: {position}}, matrixWorld} of this.parts)
       for (let i = 0; i < position.count; i++)
@@ -179,8 +180,8 @@ class Viewer {
     this.renderer.setPixelRatio(window.devicePixelRatio);
     this.renderer.setSize(side, side, false);
     this.renderer.render(this.scene, this.camera);
-    const nearest = Math.round((this.around - previewItem.from) * meshItem.views / 360) % meshItem.views;
-    showScan((nearest + meshItem.views) % meshItem.views);
+    const away = index => Math.cos((this.around - previewItem.from - previewItem.step * index) * Math.PI / 180);
+    showScan(Array.from({length: meshItem.views}, (_, i) => i).reduce((a, b) => away(b) > away(a) + 1e-9 ? b : a));
   }
 }
 
@@ -189,8 +190,9 @@ const choice = (type, name, value, text, checked) =>
 
 function showScan(index) {
   const {image} = previewItem, side = (image.width - 8) / 3, canvas = $('scan');
+  const row = (image.height + 4) / meshItem.views;
   canvas.width = canvas.height = side;
-  canvas.getContext('2d').drawImage(image, 2 * (side + 4), index * (side + 4), side, side, 0, 0, side, side);
+  canvas.getContext('2d').drawImage(image, 2 * (side + 4), index * row, side, side, 0, 0, side, side);
   $('scan-caption').textContent = `Scan, view ${index + 1} of ${meshItem.views}`;
   [...$('views').querySelectorAll('button')].forEach((e, i) => e.setAttribute('aria-pressed', i === index));
 }

@@ -1,5 +1,6 @@
 /* test_compare.c - colour differences against published values, figures against maps of known
  * errors. */
+#include "base/colour_difference.h"
 #include "libbake/compare/comparison.h"
 #include "tests/unit/image_file.h"
 #include "tests/unit/test.h"
@@ -26,23 +27,23 @@ TEST(ciede2000_matches_published_values)
         {2.0776, 0.0795, -1.1350, 0.9033, -0.0636, -0.5514, 0.9082},
     };
     for (unsigned i = 0; i < sizeof pairs / sizeof *pairs; i++) {
-        assert_true(fabs(bake_ciede2000(pairs[i], pairs[i] + 3) - pairs[i][6]) < 1e-4);
-        assert_true(fabs(bake_ciede2000(pairs[i] + 3, pairs[i]) - pairs[i][6]) < 1e-4);
+        assert_true(fabs(bsq_ciede2000(pairs[i], pairs[i] + 3) - pairs[i][6]) < 1e-4);
+        assert_true(fabs(bsq_ciede2000(pairs[i] + 3, pairs[i]) - pairs[i][6]) < 1e-4);
     }
 }
 
 TEST(lab_of_known_colours)
 {
     double lab[3];
-    bake_lab((const float[3]){1, 1, 1}, lab);
+    bsq_lab((const float[3]){1, 1, 1}, lab);
     assert_true(fabs(lab[0] - 100) < 1e-6 && fabs(lab[1]) < 1e-6 && fabs(lab[2]) < 1e-6);
-    bake_lab((const float[3]){0, 0, 0}, lab);
+    bsq_lab((const float[3]){0, 0, 0}, lab);
     assert_true(fabs(lab[0]) < 1e-6);
     /* 18.42 % reflectance is mid grey: L* = 50. */
-    bake_lab((const float[3]){0.1842f, 0.1842f, 0.1842f}, lab);
+    bsq_lab((const float[3]){0.1842f, 0.1842f, 0.1842f}, lab);
     assert_true(fabs(lab[0] - 50) < 0.01);
     /* Rec. 709 red: L* 53.24, a* 80.09, b* 67.20. */
-    bake_lab((const float[3]){1, 0, 0}, lab);
+    bsq_lab((const float[3]){1, 0, 0}, lab);
     assert_true(fabs(lab[0] - 53.24) < 0.01 && fabs(lab[1] - 80.09) < 0.02 &&
                 fabs(lab[2] - 67.20) < 0.02);
 }

@@ -97,13 +97,12 @@ TEST(test_views_go_around_the_vertical_axis)
     struct bake_lowmesh mesh = {.triangle_count = make_pyramid(1, 2, pyramid),
                                 .positions = pyramid};
     const struct bake_surface surface = {.scan_max = {1, 1, 1}};
-    const struct bake_options options = {.preview_above = 17};
-    const struct bake_preview preview = {.mesh = &mesh, .surface = &surface, .options = &options};
+    const struct bake_preview preview = {.mesh = &mesh, .surface = &surface};
     for (int up = 1; up < 3; up++) {
         const double front[3] = {0, up == 1 ? 0 : -1, up == 1 ? 1 : 0};
         struct preview_view views[4];
         for (uint32_t i = 0; i < 4; i++) {
-            bake_preview_view_set(&preview, 30 + 90 * i, up, 64, &views[i]);
+            bake_preview_view_set(&preview, 30 + 90 * i, 17, up, 64, &views[i]);
             const double *r = views[i].right, *u = views[i].up, *t = views[i].toward;
             assert_true(fabs(dot(r, u)) + fabs(dot(u, t)) + fabs(dot(t, r)) < 1e-12);
             assert_true(fabs(dot(r, r) - 1) + fabs(dot(u, u) - 1) + fabs(dot(t, t) - 1) < 1e-12);
@@ -118,6 +117,54 @@ TEST(test_views_go_around_the_vertical_axis)
         assert_true(dot(views[0].right, views[2].right) < -0.999999);
         assert_true(dot(views[1].right, views[3].right) < -0.999999);
     }
+}
+
+/* Returns the cosine of the angle between a view and a direction, in the coordinates of up axis 1.
+ */
+static double view_cosine(const struct bake_preview_views *views, uint32_t i, const double v[3])
+{
+    const double around = (views->from + i * views->step) * M_PI / 180,
+                 high = views->above * M_PI / 180;
+    const double toward[3] = {cos(high) * sin(around), sin(high), cos(high) * cos(around)};
+    return dot(toward, v) / sqrt(dot(v, v));
+}
+
+TEST(test_views_show_the_front_of_an_open_mesh)
+{
+    double pyramid[6][3][3];
+    struct bake_lowmesh mesh = {.triangle_count = make_pyramid(1, 2, pyramid),
+                                .positions = pyramid};
+    struct bake_options options = {.preview_views = 4, .preview_from = -1, .preview_above = -1};
+    const struct bake_preview preview = {.mesh = &mesh, .options = &options};
+    struct bake_preview_views views;
+    assert_false(bake_preview_place_views(&preview, 1, &views)); /* it is closed */
+    assert_true(views.above == 17 && views.step == 90);
+    static const double fronts[][3] = {{0, 0, 1},  {1, 0, -1}, {-2, 1, 0},
+                                       {1, -1, 1}, {0, 1, 0},  {0, -1, 0}};
+    for (size_t f = 0; f < sizeof fronts / sizeof *fronts; f++)
+        for (int up = 1; up < 3; up++) {
+            const double *n = fronts[f];
+            /* A triangle across the front: its corners are s, t and -s - t, with s x t along n. */
+            const double s[3] = {n[1] - n[2], n[2] - n[0], n[0] - n[1]};
+            double triangle[1][3][3];
+            for (int k = 0; k < 3; k++) {
+                const int a = (k + 1) % 3, b = (k + 2) % 3, to = up == 1 ? k : k == 0 ? 0 : 3 - k;
+                const double sign = up == 2 && k == 2 ? -1 : 1, t = n[a] * s[b] - n[b] * s[a];
+                triangle[0][0][to] = sign * s[k];
+                triangle[0][1][to] = sign * t;
+                triangle[0][2][to] = sign * (-s[k] - t);
+            }
+            mesh = (struct bake_lowmesh){.triangle_count = 1, .positions = triangle};
+            const bool level = n[0] != 0 || n[2] != 0;
+            assert_int_equal(bake_preview_place_views(&preview, up, &views), level);
+            views.from += level ? 0 : 30;
+            for (uint32_t i = 0; i < 4; i++)
+                assert_true(view_cosine(&views, i, n) > 0.5);
+        }
+    options.preview_from = 10;
+    options.preview_above = 5;
+    assert_true(bake_preview_place_views(&preview, 1, &views));
+    assert_true(views.from == 10 && views.above == 5 && views.step == 90);
 }
 
 /* ---- misses ---- */
@@ -155,8 +202,8 @@ CONTEXT_TEST(test_misses_are_averaged, 2, 0)
     bake_image_free(image);
 }
 
-/* Returns the light that the middle of a triangle that faces the camera sends. */
-static struct bsq_vec3 shade_middle(const struct bake_thumbnail *missed)
+/* Returns the light that the middle of a triangle sends to a camera `from` degrees around it. */
+static struct bsq_vec3 shade_middle(const struct bake_thumbnail *missed, double from)
 {
     double positions[1][3][3] = {{{-1, -1, 0}, {1, -1, 0}, {0, 1, 0}}};
     float normals[1][3][3] = {{{0, 0, 1}, {0, 0, 1}, {0, 0, 1}}};
@@ -171,7 +218,7 @@ static struct bsq_vec3 shade_middle(const struct bake_thumbnail *missed)
     const struct bake_preview preview = {
         .mesh = &mesh, .surface = &surface, .tiles = &tile, .tile_count = 1, .options = &options};
     struct preview_view view;
-    bake_preview_view_set(&preview, 0, 1, 64, &view);
+    bake_preview_view_set(&preview, from, 0, 1, 64, &view);
     struct bsq_vec3 plain, mapped;
     bake_preview_mesh_sample(&preview, &view, 0, 64, 64, &plain, &mapped);
     return mapped;
@@ -181,12 +228,21 @@ TEST(test_misses_are_red)
 {
     float texels[1][3] = {{0, 1, 0}};
     struct bake_thumbnail missed = {1, 1, 1, 1, 1, texels};
-    const struct bsq_vec3 hit = shade_middle(&missed);
+    const struct bsq_vec3 hit = shade_middle(&missed, 0);
     assert_true(hit.x == hit.y && hit.y == hit.z && hit.x > 0.1f);
     texels[0][0] = 0.5f;
     texels[0][1] = 0.0f; /* the other half is outside the chart */
-    const struct bsq_vec3 miss = shade_middle(&missed);
+    const struct bsq_vec3 miss = shade_middle(&missed, 0);
     assert_true(miss.x > 0.1f && miss.y < 0.2f * miss.x && miss.z == miss.y);
+}
+
+/* Its back is lit as its front is. */
+TEST(test_backs_are_lit)
+{
+    float texels[1][3] = {{0, 1, 0}};
+    struct bake_thumbnail missed = {1, 1, 1, 1, 1, texels};
+    const struct bsq_vec3 front = shade_middle(&missed, 0), back = shade_middle(&missed, 180);
+    assert_true(fabsf(front.x - back.x) < 1e-5f && front.x > 0.1f);
 }
 
 /* ---- where camera rays start ---- */

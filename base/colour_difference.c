@@ -1,7 +1,7 @@
 /* colour_difference.c - CIELAB and CIEDE2000. */
-#include <math.h>
+#include "base/colour_difference.h"
 
-#include "libbake/compare/comparison.h"
+#include <math.h>
 
 static const double pi = 3.14159265358979323846;
 
@@ -11,7 +11,7 @@ static double lab_curve(double t)
     return t > d * d * d ? cbrt(t) : t / (3 * d * d) + 4.0 / 29.0;
 }
 
-void bake_lab(const float linear[3], double lab[3])
+void bsq_lab(const float linear[3], double lab[3])
 {
     /* Each row sums to a component of the white point, so that (1, 1, 1) is exactly neutral. */
     static const double to_xyz[3][3] = {{0.4124564, 0.3575761, 0.1804375},
@@ -69,7 +69,7 @@ static struct polar to_polar(const double a[3], const double b[3])
                           hue(stretch * a[1], a[2]), hue(stretch * b[1], b[2])};
 }
 
-double bake_ciede2000(const double a[3], const double b[3])
+double bsq_ciede2000(const double a[3], const double b[3])
 {
     struct polar p = to_polar(a, b);
     int grey = p.c1 * p.c2 == 0;
