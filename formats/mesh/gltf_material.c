@@ -226,10 +226,12 @@ static int read_factor(const struct gltf_item *item, const json_t *object, const
     int status = given && out->channel->values == 3
                      ? fmt_gltf_numbers(item, object, row->factor, 3, linear)
                      : 0;
-    /* A material is as rough and metallic as it says, or entirely, unless it is glossy instead. */
+    /* A material is as rough and metallic as it says, or entirely, unless it is glossy instead, or
+     * shows its colour without light. */
     const bool glossy = !json_object_get(item->object, "pbrMetallicRoughness") &&
                         fmt_gltf_extension(item->object, "KHR_materials_pbrSpecularGlossiness");
-    out->has_value = given || (row->usual > 0 && row->factor && !glossy);
+    const bool unlit = fmt_gltf_extension(item->object, "KHR_materials_unlit") != NULL;
+    out->has_value = given || (row->usual > 0 && row->factor && !glossy && !unlit);
     if (glossy && row->usual > 0 && row->factor)
         out->loss = "it has specular and glossiness instead, which are not read";
     for (int k = 0; k < 3; k++) {

@@ -6,8 +6,9 @@
 ASSET: the program bisque-asset, which gets the options. Blender reads scan and asset, and Cycles renders each
 quantity of their materials as light, from 12 views. Prints for each scan the mean difference over the pixels
 that show both: CIEDE2000 of the base colour, degrees of the normal, and the others in % of their range. Exit
-status 1 if a base colour differs by 1 or more on average, or another quantity but the normal by 1 %. PICTURES=DIR
-keeps pictures of scan and asset beside each other."""
+status 1 if a base colour differs by 1 or more on average, or another quantity but the normal by 1 %. Occlusion counts
+only if the scan has some, because assets of others get ambient occlusion. PICTURES=DIR keeps pictures of scan and
+asset beside each other."""
 import math
 import os
 import subprocess
@@ -168,6 +169,8 @@ def difference(name, a, b):
     """Returns the mean difference of pixels, which are RGBA."""
     both = (a[..., 3] > .999) & (b[..., 3] > .999)
     a, b = a[both][:, :3].astype(float), b[both][:, :3].astype(float)
+    if name == "Occlusion" and a.min(initial=1) == 1:
+        return math.nan
     if name == "Base Color":
         return ciede2000(lab(a.clip(0, 1)), lab(b.clip(0, 1))).mean()
     if name == "Normal":
@@ -177,10 +180,9 @@ def difference(name, a, b):
 
 
 def keep_pictures(scan, asset, path):
-    """Writes a sheet: for each quantity a row with three views of the scan, and of the asset below."""
-    rows = [np.concatenate(list(of[name][:6:2]) + list(of[name][6::2]), axis=1) for name in QUANTITIES for of in (scan, asset)]
-    sheet = np.concatenate(rows)[::-1, :, :]
-    sheet = sheet[::2, ::2]
+    """Writes a sheet: for each quantity a row with six views of the scan, and of the asset below."""
+    rows = [np.concatenate(of[name][::2], axis=1) for name in QUANTITIES for of in (scan, asset)]
+    sheet = np.concatenate(rows)[::-2, ::2]
     sheet = np.concatenate([sheet[..., :3].clip(0, 1) ** (1 / 2.2), np.ones_like(sheet[..., :1])], axis=2)
     image = bpy.data.images.new("sheet", sheet.shape[1], sheet.shape[0])
     image.pixels = sheet.ravel()
@@ -200,7 +202,7 @@ def main(program, *rest):
             scan, frame = pictures_of(path, folder)
             made, _ = pictures_of(asset, folder, frame)
         found = {name: difference(name, scan[name], made[name]) for name in QUANTITIES}
-        good &= all(value < 1 for name, value in found.items() if name != "Normal")
+        good &= not any(value >= 1 for name, value in found.items() if name != "Normal")
         print(f"{Path(path).stem:24.24s}" + "".join(f"{value:12.3f}" for value in found.values()), flush=True)
         if "PICTURES" in os.environ:
             keep_pictures(scan, made, Path(os.environ["PICTURES"]) / f"{Path(path).stem}.png")

@@ -224,3 +224,8 @@ def test_materials_that_say_nothing_take_no_maps(tmp_path):
     assert "emissiveTexture" not in images and "alphaMode" not in material and "doubleSided" not in material
     assert not {"emission", "opacity"} & {*level["materials"]["taken"]}
     close(images["metallicRoughnessTexture"][32, 32, 1:], [1, 1], 1.5 / 255)  # what glTF says without a word
+    dull["extensions"] = {"KHR_materials_unlit": {}}
+    scan.write_text(json.dumps(root))
+    bisque.asset(scan, tmp_path / "a.glb", low=low, size=64)
+    _, material, images = read_material(tmp_path / "a.glb")
+    assert "metallicRoughnessTexture" not in images and material["pbrMetallicRoughness"]["metallicFactor"] == 0
