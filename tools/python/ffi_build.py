@@ -22,8 +22,9 @@ INCLUDES = '\n'.join(f'#include "{name}"' for name in (
 
 ffi = FFI()
 ffi.cdef((HERE / "bisque.cdef").read_text())
-ffi.set_source("bisque.lib._core", INCLUDES + f'\n#include "{HERE}/arrays.c"',
+ffi.set_source("bisque.lib._core", INCLUDES + f'\n#include "{HERE}/arrays.c"\n#include "{HERE}/images.c"\n'
+               "#include <meshoptimizer.h>",
                include_dirs=[str(ROOT)], extra_objects=ARCHIVES, py_limited_api=True,
                define_macros=[("_GNU_SOURCE", None)], extra_compile_args=["-std=gnu11", "-g0"],
                extra_link_args=["-Wl,--as-needed", "-Wl,--exclude-libs,ALL", "-pthread",
-                                *shlex.split(LIBS)])
+                                *shlex.split(LIBS), "-lmeshoptimizer"])

@@ -19,20 +19,20 @@ from typing import Any
 
 import numpy as np
 
-from . import core, materials, place, programs, repair, seen, uv
+from . import core, glb, materials, place, programs, repair, seen, uv
 from .core import Error
 from .mesh import Mesh, as_mesh, is_path, parse_texels, read_mesh
 from .steps import FAILED_IO, Folder, Steps, sha256
 
-#: Triangles, texels and maps of each level; rays of a texel for ambient occlusion.
+#: Triangles, texels and maps of each level; rays of a texel for ambient occlusion; images of the GLB file.
 PRESETS: dict[str, dict] = {
-    "web": {"levels": [(20_000, 2048)], "maps": ("normal", "color", "ao"), "rays": 32},
+    "web": {"levels": [(20_000, 2048)], "maps": ("normal", "color", "ao"), "rays": 32, "images": "jpeg"},
     "game": {"levels": [(10_000, 2048)], "maps": ("normal", "color", "ao", "curvature"),
-             "rays": 32},
+             "rays": 32, "images": "jpeg"},
     "museum": {"levels": [(20_000, 512), (100_000, 2048), (150_000, 4096)],
-               "maps": ("normal", "color", "ao"), "rays": 64},
+               "maps": ("normal", "color", "ao"), "rays": 64, "images": "jpeg"},
     "archive": {"levels": [(150_000, 8192)], "maps": ("normal", "color", "ao", "mask"),
-                "rays": 64},
+                "rays": 64, "images": "png"},
 }
 
 #: A grid with more voxels along a side takes more time than exact rays do.
@@ -147,7 +147,7 @@ def _finish_page(raw: Path, page: Path, level: dict, lines: list[str]) -> None:
     head, data, tail = re.split(r'(?<= id="data">)(.*)(?=</script>)', raw.read_text("utf-8"), maxsplit=1)
     made, staged = (json.dumps(f"{folder}{os.sep}")[1:-1] for folder in (level["made"], level["obj"].parent))
     shown = json.loads(data.replace(staged, made))
-    shown["glb_path"] = str(level["glb"])
+    shown["glb_path"] = str(level["outputs"][0][1])
     shown["warnings"] = list(dict.fromkeys(lines))
     shown["command"] = level["command"] or shown["command"]
     page.write_text(head + json.dumps(shown).replace("<", "\\u003c") + tail, "utf-8")
@@ -190,11 +190,13 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
         low.report.update(steps.run("check distance" + suffix, [chunks, obj], {}, [],
                                     lambda: core.measure(bare, chunks, **job)))
     reach = low.report["from_scan"]["max"]
+    shown, plain, packing = glb.packed(steps, level, files["glb"], job)
     looking = {"reach": reach, "maps": maps, "two_sided": options["two_sided"]}
-    errors = steps.run("check" + suffix, [chunks, files["glb"]], looking, [],
-                       lambda: seen.compare_views(files["glb"], chunks, **looking, progress=steps.report, **job))
-    glb, placement = place.placed(steps, level, files["glb"], low, report.get("preview_up"))
-    made = {level["glb"]: glb}
+    errors = steps.run("check" + suffix, [chunks, plain], looking, [],
+                       lambda: seen.compare_views(plain, chunks, **looking, progress=steps.report, **job))
+    made = {}
+    for path, file in shown.items():
+        made[path], placement = place.placed(steps, level, file, low, report.get("preview_up"))
     made.update({level["made"] / path.name: path for path in (obj, mtl, files["preview"], *images.values())})
     if level["report"]:
         made[level["made"] / "report.html"] = obj.with_name("report.html")
@@ -207,7 +209,7 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
             "mesh": low.report["mended"], "placement": placement,
             "removed": {key: low.report.get(member, 0) for key, member in REMOVED.items()}, **errors,
             "rays": {key: report[key] for key in ("samples", "hits", "misses", "front", "back")},
-            "memory_high": report["cost"]["memory_high_bytes"],
+            "packed": packing, "memory_high": report["cost"]["memory_high_bytes"],
             "warnings": steps.warnings_of(level["name"]), "files": made}
 
 
@@ -230,9 +232,9 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
           maps: Any = None, samples: int = 2, surface: str = "auto", library: str = uv.USUAL,
           unwrap_seconds: float = 300, min_component: float | str = 0, min_triangles: int = 0,
           close_holes: float | str = 0, hard_angle: float = 40, winding: str = "auto", up: str | None = None,
-          units: str | None = None, scale: float | None = None, texture: Any = None, report: bool = False,
-          keep: str | os.PathLike | None = None, memory: int | str | None = None, threads: int = 0,
-          progress: core.Progress | None = None,
+          units: str | None = None, scale: float | None = None, texture: Any = None, images: str | None = None,
+          geometry: str = "none", report: bool = False, keep: str | os.PathLike | None = None,
+          memory: int | str | None = None, threads: int = 0, progress: core.Progress | None = None,
           command: list[str] | None = None) -> dict:
     """Makes an asset of a scan: OUTPUT.glb, and beside it a folder OUTPUT_asset with the mesh and its
     material (low.obj, low.mtl), the maps, a picture (preview.png) and the certificate, asset.json.
@@ -246,7 +248,8 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
     (mm, cm, m or in), and a factor; the GLB file has y upwards and metres.
     low: a low-poly mesh to use; it is unwrapped if it has no UVs. texture: an image for all faces
     with texture coordinates, instead of those that the scan names. surface: "grid", "exact", or
-    "auto", by the size of a texel. report: also makes a page to look at, report.html. command: the
+    "auto", by the size of a texel. images, geometry: of the GLB file, as of pack(); images are those of the
+    preset. report: also makes a page to look at, report.html. command: the
     command that the page shows; without it, that of the bake. keep: a folder, in whose folder
     `bisque-steps` the files between stay; without it they are in OUTPUT_asset/bisque-steps until the
     asset is complete. Interrupted jobs go on from them.
@@ -259,6 +262,8 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
                  "hard_angle": hard_angle, "winding": winding}
     mending = repair.check_options(triangles, error, place.unit_of(units, scale), **given_low)
     chosen = _check_options(output, preset, samples, surface, library, unwrap_seconds)
+    packing = {"images": images or PRESETS[preset]["images"], "geometry": geometry}
+    glb.check_options(**packing)
     if low is not None or triangles or error is not None or size:
         chosen = [(mending["triangles"] or (None if mending["error"] else chosen[-1][0]), size or chosen[-1][1])]
     made = output.with_name(output.stem + "_asset")
@@ -270,7 +275,7 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
     _check_inputs(output, made, Path(keep) if keep else made, given)
     job = {"memory": core.parse_bytes(memory), "threads": core.check_number("threads", threads, 0, 65536)}
     level = {"samples": samples, "rays": PRESETS[preset]["rays"], "surface": surface, "library": library,
-             "seconds": unwrap_seconds, "mend": mending["mend"], "simplify": mending["simplify"],
+             "seconds": unwrap_seconds, "mend": mending["mend"], "simplify": mending["simplify"], **packing,
              "place": {**placing, "name": place.name_of(paths)}, "report": report, "command": command}
     elsewhere = bool(keep) and Path(keep).resolve() != made.resolve()
     private = kept = Folder(made)
@@ -285,7 +290,8 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
         levels = [_bake_level(steps, chunks, about, _low_of(steps, chunks, low, one, job), one, job)
                   for one in _levels(chosen, level, output, made, steps)]
         options = {"preset": preset, "levels": chosen, "samples": samples, "surface": surface,
-                   "library": library, **placing, **given_low, "error": error, "memory": memory, "threads": threads}
+                   "library": library, **placing, **packing, **given_low, "error": error, "memory": memory,
+                   "threads": threads}
         certificate = _certificate(steps, paths, about, options, levels)
         _publish(certificate, made, output, private.path / PUBLISHED, steps, not keep)
         done = True
@@ -303,7 +309,7 @@ def _levels(chosen: list[tuple[int, int]], common: dict, output: Path, made: Pat
         staged, several = steps.folder / str(number), len(chosen) > 1
         staged.mkdir(exist_ok=True)
         yield {**common, "name": str(number), "triangles": count, "size": side, "obj": staged / "low.obj",
-               "glb": output.with_name(f"{output.stem}_{number}.glb") if several else output,
+               "outputs": [(side, output.with_name(f"{output.stem}_{number}.glb") if several else output)],
                "mended": steps.folder / f"mended_{number}.obj", "made": made / str(number) if several else made}
 
 

@@ -18,6 +18,7 @@ import bisque_start
 from . import core, uv
 from .asset import PRESETS, asset
 from .core import Error
+from .glb import GEOMETRIES, IMAGES
 from .steps import FAILED_IO
 
 
@@ -104,6 +105,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--units", metavar="UNIT", help="of the scan: mm, cm, m or in")
     parser.add_argument("--scale", type=float, metavar="X", help="multiply the asset by X")
     parser.add_argument("--maps", metavar="LIST", help="such as normal,color,ao")
+    parser.add_argument("--images", choices=IMAGES, help="of the GLB file; jpeg: but for normals")
+    parser.add_argument("--geometry", choices=GEOMETRIES, default="none", help="how it is packed in the GLB file")
     parser.add_argument("--samples", type=int, default=2, metavar="N", help="N x N a texel")
     parser.add_argument("--surface", choices=("auto", "grid", "exact"), default="auto")
     parser.add_argument("--unwrap", choices=uv.LIBRARIES, default=uv.USUAL, metavar="LIBRARY",
@@ -165,8 +168,8 @@ def _make(arguments: list[str], screen: _Screen) -> None:
         samples=a.samples, surface=a.surface, library=a.unwrap, unwrap_seconds=a.unwrap_seconds,
         min_component=a.min_component, min_triangles=a.min_triangles, close_holes=a.close_holes,
         hard_angle=a.hard_angle, winding=a.winding, up=a.up, units=a.units, scale=a.scale, texture=a.texture,
-        report=a.report, keep=a.keep, memory=a.memory, threads=a.threads, progress=screen.progress,
-        command=["bisque-asset", *arguments])
+        images=a.images, geometry=a.geometry, report=a.report, keep=a.keep, memory=a.memory, threads=a.threads,
+        progress=screen.progress, command=["bisque-asset", *arguments])
     screen.end_bar()
     _print(a, certificate)
 

@@ -93,7 +93,7 @@ def placed(steps: Any, level: dict, source: Path, low: Mesh, guess: str | None) 
     both_sides = bool(low.report["mended"].get("double_sided"))
     how = level["place"]
     up, unit = how["up"] or "y", unit_of(how["units"], how["scale"])
-    target = source.with_name("placed.glb")
+    target = source.with_name(f"placed_{source.name}")
     size = unit * np.ptp(low.vertices, axis=0).astype(float)
     turned = np.abs(_turn(UP[up], size))
     changes = up != "y" or unit != 1 or both_sides
@@ -107,7 +107,7 @@ def placed(steps: Any, level: dict, source: Path, low: Mesh, guess: str | None) 
         return {"up": up, "metres_per_unit": unit, "size_m": turned.tolist()}
 
     options = {**how, "both_sides": both_sides}
-    report = steps.run(f"place {level['name']}", [source], options, [target] if changes else [], make)
+    report = steps.run(f"place {source.stem} {level['name']}", [source], options, [target] if changes else [], make)
     return target if changes else source, {**report, "preview_up": guess}
 
 

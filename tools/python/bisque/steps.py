@@ -22,7 +22,7 @@ from .core import Error
 #: Errors of the system that mean that reading or writing failed, and not that a file cannot be made.
 FAILED_IO = {errno.EIO, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EPIPE, errno.ESTALE}
 #: What each step is of all the work, for the progress bar.
-WEIGHTS = {"sort": 20, "simplify": 25, "unwrap": 10, "voxelize": 10, "bake": 25, "check": 10, "mend": 3,
+WEIGHTS = {"sort": 20, "simplify": 25, "unwrap": 10, "voxelize": 10, "bake": 25, "pack": 5, "check": 10, "mend": 3,
            "place": 1}
 
 
