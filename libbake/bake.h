@@ -98,7 +98,8 @@ enum bake_sample_type {
     BAKE_UINT8,        /**< 8 bits, dithered. PNG only. */
     BAKE_UINT16,       /**< 16 bits. PNG only. */
     BAKE_HALF,         /**< 16-bit floating point, limited to 65504. OpenEXR only. */
-    BAKE_FLOAT         /**< 32-bit floating point. OpenEXR only. */
+    BAKE_FLOAT,        /**< 32-bit floating point. OpenEXR only. */
+    BAKE_UINT8_16 /**< 8 bits, but 16 of real values such as heights and curvature. PNG only. */
 };
 
 /** The size of the maps of one UDIM tile, in texels. */
@@ -188,6 +189,8 @@ struct bake_options {
      * 1 on. */
     enum bake_quality quality;
     uint32_t preset; /**< See quality. */
+    bool
+        engine_names; /**< "<MAP>" stands for what the preset's engine calls the map, such as BC. */
     /** Output path. "<MAP>" in it stands for the map's name, see bake_map_name(), "<UDIM>" and
      * "<UVTILE>" for the tile, "<OBJECT>" and "<MATERIAL>" for what has maps of its own. It must
      * contain "<MAP>" if there are several maps, and "<UDIM>" or "<UVTILE>" if there are several

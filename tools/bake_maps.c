@@ -215,6 +215,7 @@ static void take_literally(char *part, int length)
 static int name_in_folder(struct cli *cli, struct bake_arguments *arguments)
 {
     static const char *const suffixes[] = {"exr", "png", "png", "exr", "png"}; /* by preset */
+    static const char *const prefixes[] = {"", "T_", "", "", ""};              /* likewise */
     struct bake_options *bake = &arguments->bake;
     const char *path = bake->output_path, *slash = strrchr(bake->mesh_path, '/');
     const char *name = slash ? slash + 1 : bake->mesh_path;
@@ -236,11 +237,13 @@ static int name_in_folder(struct cli *cli, struct bake_arguments *arguments)
     const char *dot = strrchr(name, '.');
     const int stem =
         by_object ? 0 : (int)(dot && dot > name ? dot - name : (ptrdiff_t)strlen(name));
-    char *output = cli_keep_text("%s%s%s%.*s_<MAP>%s.%s", path, slashed ? "" : "/",
-                                 by_object ? BAKE_OBJECT_TOKEN : "", stem, name,
-                                 tiles > 1 ? "." BAKE_UDIM_TOKEN : "", suffixes[bake->preset]);
+    char *output = cli_keep_text("%s%s%s%s%.*s_<MAP>%s.%s", path, slashed ? "" : "/",
+                                 prefixes[bake->preset], by_object ? BAKE_OBJECT_TOKEN : "", stem,
+                                 name, tiles > 1 ? "." BAKE_UDIM_TOKEN : "",
+                                 suffixes[bake->preset]);
     take_literally(output + length + !slashed, stem);
     bake->output_path = output;
+    bake->engine_names = true;
     return 0;
 }
 
@@ -317,9 +320,9 @@ static const struct setting {
     {"preset", "blender", "normal", "green", "up"},
     {"preset", "gltf", "normal", "green", "up"},
     {"preset", "gltf", "pack", NULL, "orm=ao,roughness,metallic"},
-    {"preset", "unreal", "type", NULL, "8"},
-    {"preset", "unity", "type", NULL, "8"},
-    {"preset", "gltf", "type", NULL, "8"},
+    {"preset", "unreal", "type", NULL, "8+16"},
+    {"preset", "unity", "type", NULL, "8+16"},
+    {"preset", "gltf", "type", NULL, "8+16"},
 };
 
 /* Returns whether a row has the value of a setting, which is one of its words. */

@@ -63,6 +63,8 @@ static enum fmt_sample_type choose_type(const struct bake_options *options,
                                         const struct fmt_image_format *format)
 {
     _Static_assert(BAKE_FLOAT - BAKE_UINT8 == (int)FMT_FLOAT, "the types are in one order");
+    if (options->sample_type == BAKE_UINT8_16)
+        return usual == BAKE_FLOAT ? FMT_UINT16 : FMT_UINT8;
     if (options->sample_type != BAKE_SAMPLE_USUAL)
         return (enum fmt_sample_type)(options->sample_type - BAKE_UINT8);
     if (usual == BAKE_SAMPLE_USUAL || !(format->sample_types & FMT_SAMPLE_BIT(usual - BAKE_UINT8)))

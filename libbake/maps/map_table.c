@@ -251,6 +251,7 @@ const struct bake_map_row bake_map_table[] = {
                        .encode = encode_normals,
                        .describe = describe_normals},
     [BK_MAP_color] = {.summary = "colours (default if the scan has them)",
+                      .alias = "basecolor",
                       .channels = 3,
                       .by_default = true,
                       .needs_color = true,
@@ -436,9 +437,35 @@ const char *bake_name_of(const struct bake_options *options, unsigned number)
                                       : options->transfers[number - BK_MAP_COUNT].name;
 }
 
+/* What engines call maps in the names of files, by presets: Epic's recommended names, those of
+ * Unity's lit shaders, and of glTF's textures. Other maps keep their names. */
+static const struct {
+    const char *name, *engines[4]; /* unreal, unity, blender, gltf */
+} engine_names[] = {
+    {"normal", {"N", "Normal", NULL, "normal"}},
+    {"color", {"BC", "BaseMap", NULL, "baseColor"}},
+    {"ao", {"AO", "Occlusion", NULL, "occlusion"}},
+    {"height", {"H", "Height", NULL, NULL}},
+    {"roughness", {"R", NULL, NULL, NULL}},
+    {"emission", {"E", "Emission", NULL, "emissive"}},
+    {"orm", {"ORM", NULL, NULL, "occlusionRoughnessMetallic"}},
+    {"mask_map", {NULL, "MaskMap", NULL, NULL}},
+};
+
+/* Returns what "<MAP>" stands for in the name of a map's file. */
+static const char *file_word_of(const struct bake_options *options, unsigned number)
+{
+    const char *name = bake_name_of(options, number);
+    for (size_t i = 0; i < sizeof engine_names / sizeof *engine_names; i++)
+        if (options->engine_names && options->preset >= 1 && options->preset <= 4 &&
+            strcmp(engine_names[i].name, name) == 0 && engine_names[i].engines[options->preset - 1])
+            return engine_names[i].engines[options->preset - 1];
+    return name;
+}
+
 char *bake_path_of(const struct bake_options *options, unsigned number)
 {
-    return bake_map_path(options->output_path, bake_name_of(options, number));
+    return bake_map_path(options->output_path, file_word_of(options, number));
 }
 
 int bake_list_files(struct bsq_ctx *ctx, const struct bake_options *options,
@@ -454,7 +481,7 @@ int bake_list_files(struct bsq_ctx *ctx, const struct bake_options *options,
         const char *name = bake_name_of(options, i);
         if (!bake_has_file(options, maps, i))
             continue;
-        char *file = bake_map_path(path, name);
+        char *file = bake_map_path(path, file_word_of(options, i));
         const unsigned number = i < BK_MAP_COUNT ? i : BAKE_MAX_MAPS;
         status = file ? fn(arg, &(struct bake_file){file, name, number}) : BSQ_ENOMEM;
         free(file);

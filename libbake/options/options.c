@@ -115,6 +115,7 @@ static const struct bsq_option table[] = {
     {BSQ_ROW("preset", "NAME",
              "green, type, suffix and packed maps: unreal, unity, blender or gltf"),
      CHOICE(preset, "none unreal unity blender gltf"), FINISHES},
+    {MEMBER(FLAG, engine_names), FINISHES},
     {BSQ_ROW("quality", "Q", "draft, normal or final: samples and rays that are not given"),
      CHOICE(quality, "normal draft final"), FINISHES},
     {BSQ_ROW("size", "N | WxH", "texels, or 4k (default: 2048); by UDIM tile: 1001=4096,*=2048"),
@@ -125,9 +126,9 @@ static const struct bsq_option table[] = {
      .own_syntax = true, BSQ_LIST(struct bake_options, tile_ranges, tile_range_count, range_rows),
      FINISHES},
     {BSQ_ROW("type", "TYPE",
-             "of samples: half or float in OpenEXR, 16 or 8 in PNG\n"
-             "(default: auto, by the map)"),
-     CHOICE(sample_type, "auto 8 16 half float"), FINISHES},
+             "of samples: half or float in OpenEXR, 16, 8 or 8+16 (by map)\n"
+             "in PNG (default: auto, by the map)"),
+     CHOICE(sample_type, "auto 8 16 half float 8+16"), FINISHES},
     {BSQ_ROW("exr-tiles", "N", "make OpenEXR files of tiles of N x N texels (default: of lines)"),
      COUNT(exr_tile_side, 8, BAKE_MAX_EXR_TILE, 0), FINISHES},
     {BSQ_ROW("padding", "N", "texels to fill around each chart; all: everywhere"), .words = "all",

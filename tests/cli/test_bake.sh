@@ -124,7 +124,7 @@ refused 64 "$p a_<MAP>.exr: OpenEXR files have no 8-bit samples"
 $bake plain.nvdb low.obj -o a.png --type float
 refused 64 "$p a.png: PNG files have no float samples"
 $bake plain.nvdb low.obj -o a.png --type 12
-refused 64 "$p --type: \"12\" is not auto, 8, 16, half or float"
+refused 64 "$p --type: \"12\" is not auto, 8, 16, half, float or 8+16"
 $bake colored.nvdb low.obj -o a.exr --maps normal,color
 refused 64 "$p a.exr: several maps need \"<MAP>\" in the output's name"
 $bake plain.nvdb low.obj -o 'a_<Map>.exr' --maps normal

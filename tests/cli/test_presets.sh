@@ -62,8 +62,18 @@ done
 
 mkdir maps
 ok $bake scan.nvdb low.obj --preset unreal -o maps/ --json
-json '.maps == {"normal": "maps/low_normal.png", "color": "maps/low_color.png", "orm": "maps/low_orm.png"}
-    or .maps == {"normal": "maps/low_normal.png", "orm": "maps/low_orm.png"}'
+json '.maps == {"normal": "maps/T_low_N.png", "color": "maps/T_low_BC.png", "orm": "maps/T_low_ORM.png"}
+    or .maps == {"normal": "maps/T_low_N.png", "orm": "maps/T_low_ORM.png"}'
+# Real values have 16 bits, others 8; names are those of the engine, or their own.
+for preset in "unity Normal" "gltf normal"; do
+    # shellcheck disable=SC2086
+    set -- $preset
+    ok $bake scan.nvdb low.obj --preset "$1" -o maps/ --maps normal,height,curvature --json
+    depth() { od -An -tu1 -j24 -N1 "$1" | tr -d ' '; }
+    holds "$1: normals have 8 bits" [ "$(depth "maps/low_$2.png")" = 8 ]
+    holds "$1: heights have 16 bits" [ "$(depth "$(jq -r .maps.height "$out")")" = 16 ]
+    holds "$1: curvature has 16 bits" [ "$(depth maps/low_curvature.png)" = 16 ]
+done
 ok $bake scan.nvdb low.obj --preset unity -o 'unity_<MAP>.png' --maps mask
 ok $bake scan.nvdb low.obj --maps ao,transfer:roughness,transfer:metallic -o 'alone_<MAP>.png' --type 8
 packed unity_mask_map.png metallic ao 0 1-roughness
@@ -74,6 +84,8 @@ same down_normal.png unreal_normal.png
 holds "presets differ in the green channel" sh -c '! cmp -s gltf_normal.png unreal_normal.png'
 ok $bake scan.nvdb low.obj --preset blender -o maps
 holds "Blender gets OpenEXR files" [ -e maps/low_normal.exr -a ! -e maps/low_orm.exr ]
+run bisque-bake scan.nvdb low.obj --maps basecolor -o none.png
+refused 65 "$p scan.nvdb has no colour; leave color out of --maps"
 # What a scan does not have is a constant: rough, and no metal.
 ok $bake bare.nvdb low.obj --preset gltf -o 'bare_<MAP>.png'
 grep -q "warning: --preset: the scan has no roughness: the packed map has 1 there" "$err"
