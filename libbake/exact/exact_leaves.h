@@ -44,9 +44,28 @@ struct exact_look_limits {
     bool any;                      /* the first hit that is found will do */
 };
 
-/* Returns whether a ray hits a triangle of the group, and sets *t to the distance of the nearest
- * one. */
-typedef bool bake_exact_group_trace_fn(const struct exact_group *group, const struct bake_ray *ray,
+/* The nodes that a point is in, from the roots on. All rays from the point meet them, so their
+ * boxes are tested one after the other without waiting for each other's results. */
+enum { EXACT_STEPS = 32 };
+struct exact_path {
+    float origin[3];
+    uint32_t count;
+    struct exact_step {
+        const struct exact_leaves *chunk; /* NULL: the node is one of the group's tree */
+        const struct exact_box8 *boxes;
+        uint32_t level, node;
+        uint32_t inside; /* bit i: child i is a step, too */
+        float far;       /* largest coordinate of the chunk's corners, relative to the point */
+    } steps[EXACT_STEPS];
+};
+typedef void bake_exact_path_find_fn(const struct exact_group *group, const float origin[3],
+                                     struct exact_path *out);
+BSQ_SIMD_DECLARE(bake_exact_path_find_fn, bake_exact_path_find);
+
+/* Returns whether a ray from the path's point hits a triangle of the group, and sets *t to the
+ * distance of the nearest one. */
+typedef bool bake_exact_group_trace_fn(const struct exact_group *group,
+                                       const struct exact_path *path, const float direction[3],
                                        const struct exact_look_limits *limits, double *t);
 BSQ_SIMD_DECLARE(bake_exact_group_trace_fn, bake_exact_group_trace);
 

@@ -65,6 +65,21 @@ static inline struct exact_span exact_span_of(double begin, double end)
                                (float)(end + fabs(end) * widen)};
 }
 
+/* Sets the parameters where the line enters and leaves boxes, up to rounding. */
+LANES_INLINE void exact_line_slabs(const struct exact_line *line, const struct exact_box8 *boxes,
+                                   eights *in, eights *out)
+{
+    *in = eights_splat(-INFINITY);
+    *out = eights_splat(INFINITY);
+    for (int k = 0; k < 3; k++) {
+        const eights near = *(const eights *)(const void *)boxes->planes[line->near[k]][k];
+        const eights far = *(const eights *)(const void *)boxes->planes[line->far[k]][k];
+        const eights inverse = eights_splat(line->inverse[k]);
+        *in = eights_max((near - eights_splat(line->near_origin[k])) * inverse, *in);
+        *out = eights_min((far - eights_splat(line->far_origin[k])) * inverse, *out);
+    }
+}
+
 /* Returns a bit mask of the boxes that the line crosses within the span, and sets distances[] to
  * the smallest |t - from| inside each. Never misses a box: subtraction, reciprocal and product are
  * each rounded once, so parameters are off by less than 3 * 2^-24 of their size, and are widened by
@@ -74,19 +89,26 @@ static inline unsigned exact_line_crosses(const struct exact_line *line,
                                           float from, eights *distances)
 {
     const eights less = eights_splat(1.0f - 4.8e-7f), more = eights_splat(1.0f + 4.8e-7f);
-    eights in = eights_splat(-INFINITY), out = eights_splat(INFINITY);
-    for (int k = 0; k < 3; k++) {
-        const eights near = *(const eights *)(const void *)boxes->planes[line->near[k]][k];
-        const eights far = *(const eights *)(const void *)boxes->planes[line->far[k]][k];
-        const eights inverse = eights_splat(line->inverse[k]);
-        in = eights_max((near - eights_splat(line->near_origin[k])) * inverse, in);
-        out = eights_min((far - eights_splat(line->far_origin[k])) * inverse, out);
-    }
+    eights in, out;
+    exact_line_slabs(line, boxes, &in, &out);
     in = eights_max(eights_min(in * less, in * more), eights_splat(span.begin));
     out = eights_min(eights_max(out * less, out * more), eights_splat(span.end));
     const eights origin = eights_splat(from);
     *distances = eights_max(eights_max(in - origin, origin - out), eights_splat(0.0f));
     return eights_not_above(in, out);
+}
+
+/* Likewise between 0 and `end`, with distances from 0. What rounding could do to boxes behind does
+ * not matter: a parameter has its right sign. */
+LANES_INLINE unsigned exact_line_crosses_ahead(const struct exact_line *line,
+                                               const struct exact_box8 *boxes, float end,
+                                               eights *distances)
+{
+    eights in, out;
+    exact_line_slabs(line, boxes, &in, &out);
+    *distances = eights_max(in * eights_splat(1.0f - 4.8e-7f), eights_splat(0.0f));
+    return eights_not_above(*distances,
+                            eights_min(out * eights_splat(1.0f + 4.8e-7f), eights_splat(end)));
 }
 
 /* ---- triangles ---- */

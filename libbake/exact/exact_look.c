@@ -61,16 +61,19 @@ static void trace_kind(const struct pass *pass, const bk_viewpoint *viewpoint, u
     const float *distances = bake_ray_distances(states, index, open);
     struct exact_look_limits limits = {
         .two_sided = open, .facing_origin = viewpoint->side < 0, .any = any};
+    const bk_vec3 from = bk_ray_start(&kind, viewpoint);
+    struct exact_path path;
+    if (kind.count > 0)
+        BSQ_SIMD_PICK(look->exact->simd, bake_exact_path_find)
+    (&look->group, (const float[3]){from.x, from.y, from.z}, &path);
     for (uint32_t i = 0; i < kind.count; i++) {
         double t = 0;
         if (any && hidden[i / 64] >> (i % 64) & 1)
             continue;
-        const bk_vec3 from = bk_ray_start(&kind, viewpoint);
         const bk_vec3w d = bk_ray_directions(&kind, viewpoint, i);
-        const struct bake_ray ray = {{from.x, from.y, from.z}, {d.x, d.y, d.z}};
         limits.t_max = (double)(any ? kind.limit : fminf(distances[i], kind.limit));
-        if (BSQ_SIMD_PICK(look->exact->simd, bake_exact_group_trace)(&look->group, &ray, &limits,
-                                                                     &t))
+        if (BSQ_SIMD_PICK(look->exact->simd, bake_exact_group_trace)(
+                &look->group, &path, (const float[3]){d.x, d.y, d.z}, &limits, &t))
             bake_note_hit(states, index, open, i, (float)t);
     }
 }

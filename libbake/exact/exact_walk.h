@@ -15,7 +15,10 @@ struct exact_range {
 struct exact_walk {
     struct exact_line line;
     struct exact_range range;
-    bool done; /* no better hit is needed */
+    bool ahead;           /* the range is between 0 and something, and its reach 0 */
+    bool done;            /* no better hit is needed */
+    const char *contents; /* of the tree's boxes, content_bytes each; NULL: not to be fetched */
+    uint32_t content_bytes;
 };
 
 /* Returns the range between two parameters. */
@@ -54,44 +57,68 @@ static inline uint32_t exact_push_children(struct exact_entry *stack, uint32_t d
     return depth;
 }
 
-/* Calls `visit` for the boxes of a tree that the ray crosses where a hit would win, near ones
- * first, until `visit` sets walk->done. */
+/* Fetches those of eight objects, of `bytes` each, whose bits are set. */
+LANES_INLINE void exact_prefetch(const void *objects, uint32_t bytes, unsigned bits)
+{
+    for (; bits; bits &= bits - 1)
+        for (uint32_t at = 0; at < bytes; at += 64)
+            __builtin_prefetch((const char *)objects + (uint32_t)__builtin_ctz(bits) * bytes + at);
+}
+
+LANES_INLINE unsigned exact_walk_crosses(const struct exact_walk *walk,
+                                         const struct exact_box8 *boxes, eights *distances)
+{
+    return walk->ahead
+               ? exact_line_crosses_ahead(&walk->line, boxes, walk->range.span.end, distances)
+               : exact_line_crosses(&walk->line, boxes, walk->range.span, walk->range.reach,
+                                    distances);
+}
+
+/* Calls `visit` for the boxes below a node that the ray crosses where a hit would win, near ones
+ * first, until `visit` sets walk->done. bits, crossed: of the node's children, as
+ * exact_line_crosses() returns them. */
+LANES_INLINE void exact_walk_below(struct exact_walk *walk, const struct exact_tree *tree,
+                                   uint32_t level, uint32_t node, unsigned bits, eights crossed,
+                                   void (*visit)(void *arg, uint32_t box), void *arg)
+{
+    struct exact_entry stack[EXACT_TREE_STACK];
+    float distances[8];
+    uint32_t depth = 0;
+    for (;;) {
+        memcpy(distances, &crossed, sizeof distances);
+        if (level > 0) {
+            exact_prefetch(&tree->nodes[tree->first[level - 1] + 8 * node],
+                           sizeof(struct exact_box8), bits);
+            depth = exact_push_children(stack, depth, level, node, bits, distances);
+        } else if (walk->contents) {
+            exact_prefetch(walk->contents + (uint64_t)8 * node * walk->content_bytes,
+                           walk->content_bytes, bits);
+        }
+        for (; level == 0 && bits && !walk->done; bits &= bits - 1) {
+            const unsigned c = (unsigned)__builtin_ctz(bits);
+            if (distances[c] <= walk->range.farthest)
+                visit(arg, 8 * node + c);
+        }
+        while (depth > 0 && stack[depth - 1].distance > walk->range.farthest)
+            depth--;
+        if (depth == 0 || walk->done)
+            return;
+        level = stack[--depth].level;
+        node = stack[depth].node;
+        bits = exact_walk_crosses(walk, &tree->nodes[tree->first[level] + node], &crossed);
+    }
+}
+
+/* Likewise for all boxes of a tree. */
 LANES_INLINE void exact_walk_tree(struct exact_walk *walk, const struct exact_tree *tree,
                                   void (*visit)(void *arg, uint32_t box), void *arg)
 {
-    struct exact_entry stack[EXACT_TREE_STACK];
     eights crossed;
-    float distances[8];
-    uint32_t depth = 1;
     if (tree->levels == 0)
         return;
-    stack[0] = (struct exact_entry){0, tree->levels - 1, 0};
-    while (depth > 0 && !walk->done) {
-        const struct exact_entry top = stack[--depth];
-        if (top.distance > walk->range.farthest)
-            continue;
-        const struct exact_box8 *boxes = &tree->nodes[tree->first[top.level] + top.node];
-        unsigned bits =
-            exact_line_crosses(&walk->line, boxes, walk->range.span, walk->range.reach, &crossed);
-        memcpy(distances, &crossed, sizeof distances);
-        if (top.level > 0) {
-            const struct exact_box8 *below =
-                &tree->nodes[tree->first[top.level - 1] + 8 * top.node];
-            for (unsigned b = bits; b; b &= b - 1) {
-                const char *node = (const char *)&below[__builtin_ctz(b)];
-                __builtin_prefetch(node);
-                __builtin_prefetch(node + 64);
-                __builtin_prefetch(node + 128);
-            }
-            depth = exact_push_children(stack, depth, top.level, top.node, bits, distances);
-            continue;
-        }
-        for (; bits && !walk->done; bits &= bits - 1) {
-            const unsigned c = (unsigned)__builtin_ctz(bits);
-            if (distances[c] <= walk->range.farthest)
-                visit(arg, 8 * top.node + c);
-        }
-    }
+    const uint32_t root = tree->levels - 1;
+    const unsigned bits = exact_walk_crosses(walk, &tree->nodes[tree->first[root]], &crossed);
+    exact_walk_below(walk, tree, root, 0, bits, crossed, visit, arg);
 }
 
 #endif

@@ -284,7 +284,8 @@ unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uin
         trace.ray = &rays[i];
         trace.best = &best[i];
         trace.shear = (struct exact_shear){0};
-        trace.sheared = trace.improved = trace.walk.done = false;
+        trace.sheared = trace.improved = trace.walk.ahead = trace.walk.done = false;
+        trace.walk.contents = NULL;
         if (!exact_line_set(&trace.walk.line, rays[i].origin, rays[i].direction))
             continue;
         trace.t_max =

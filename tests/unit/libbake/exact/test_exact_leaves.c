@@ -118,17 +118,21 @@ static bool trace_all(const struct scene *scene, const struct bake_ray *ray,
 static void check_ray(const struct scene *scene, const struct bake_ray *ray,
                       struct exact_look_limits limits, uint32_t *hits)
 {
+    struct exact_path path;
     double expected, t;
     for (enum bsq_simd level = BSQ_SIMD_BASE; level <= bsq_simd_best(); level++) {
         limits.any = false;
+        BSQ_SIMD_PICK(level, bake_exact_path_find)(&scene->group, ray->origin, &path);
         const bool hit = trace_all(scene, ray, &limits, &expected);
         *hits += hit;
-        assert_int_equal(
-            BSQ_SIMD_PICK(level, bake_exact_group_trace)(&scene->group, ray, &limits, &t), hit);
+        assert_int_equal(BSQ_SIMD_PICK(level, bake_exact_group_trace)(&scene->group, &path,
+                                                                      ray->direction, &limits, &t),
+                         hit);
         assert_true(!hit || t == expected);
         limits.any = true;
-        assert_int_equal(
-            BSQ_SIMD_PICK(level, bake_exact_group_trace)(&scene->group, ray, &limits, &t), hit);
+        assert_int_equal(BSQ_SIMD_PICK(level, bake_exact_group_trace)(&scene->group, &path,
+                                                                      ray->direction, &limits, &t),
+                         hit);
     }
 }
 
