@@ -147,6 +147,8 @@ static void bound_part(struct bounding *in, struct polygon *p, uint32_t near, bo
     struct polygon parts[3];
     const float *triangle[3];
     double middle[3] = {0}, square = INFINITY;
+    if (in->bound->enough > 0 && in->bound->low > in->bound->enough)
+        return;
     for (unsigned i = 0; i < p->count; i++)
         for (int k = 0; k < 3; k++)
             middle[k] += p->corners[i][k] / p->count;

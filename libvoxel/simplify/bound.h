@@ -9,6 +9,7 @@ struct vox_bound {
     double low, high; /* it is at least and at most this */
     double where[3];  /* the point that is `low` away */
     double slack;     /* what `high` may always be more than `low`, for rounded coordinates */
+    double enough;    /* 0, or nothing more is looked for once `low` is above this */
 };
 
 /* Returns how large `high` may become: 1 % or the slack more than `low`. */

@@ -13,6 +13,7 @@
 #include "libvoxel/simplify/closest.h"
 #include "libvoxel/simplify/fit.h"
 #include "libvoxel/simplify/folds.h"
+#include "libvoxel/simplify/limits.h"
 #include "libvoxel/simplify/topology.h"
 
 /* Weight of the distance from an open border, beside that from the triangles. */
@@ -36,6 +37,8 @@ static const double cut_weight = 30;
 static const double fold_weight = 1e6;
 /* A candidate whose cost has grown by more than this factor goes back into the heap. */
 static const double grown = 1.000001;
+/* With limits, edges collapse again as long as less than this share of triangles is left. */
+static const double gain_least = 0.98;
 
 enum { CHILDREN = 4 /* of a place in the heap: fewer levels than with 2 */ };
 
@@ -64,6 +67,7 @@ struct collapse {
     uint64_t heap_count, heap_capacity;
     struct vox_places places; /* for pieces */
     struct vox_removed *removed;
+    struct vox_limits *limits; /* NULL: the number of triangles is the only one */
 };
 
 /* What the collapse of an edge would do. */
@@ -547,14 +551,21 @@ static int collapse_next(struct collapse *c)
     if (put_back(c, &candidate, result.cost))
         return 0;
     if (!vox_rings_keep_topology(r, u, v)) {
+        if (c->limits)
+            return 0;
         const int dropped = drop_small_piece(c, &candidate);
         if (dropped == 0)
             cut_handle(c, &candidate);
         return dropped < 0 ? dropped : 0;
     }
     if (vox_makes_fold(r, u, v, result.position) &&
-        put_back(c, &candidate, result.cost + fold_cost(c, edge_square(c, u, v))))
+        (c->limits || put_back(c, &candidate, result.cost + fold_cost(c, edge_square(c, u, v)))))
         return 0;
+    if (c->limits) {
+        if (!vox_limits_allow(c->limits, r, u, v, result.position))
+            return 0;
+        vox_limits_change(c->limits);
+    }
     vox_rings_join(r, u, v, result.position);
     c->into[v] = u;
     c->drifts[u] = drift;
@@ -563,7 +574,7 @@ static int collapse_next(struct collapse *c)
 }
 
 /* Edges that were refused may be allowed after their neighbours have changed, so all edges become
- * candidates again as long as that helps. */
+ * candidates again as long as that helps; with limits, only after the mesh has been fitted. */
 static int collapse_edges(struct collapse *c)
 {
     struct vox_rings *r = &c->rings;
@@ -588,6 +599,8 @@ static int collapse_edges(struct collapse *c)
             reported = r->alive;
         }
         c->heap_count = 0;
+        if (c->limits)
+            break;
     }
     return 0;
 }
@@ -616,8 +629,27 @@ static void free_candidates(struct collapse *c)
     c->stamps = NULL;
 }
 
-int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh,
-                 struct vox_removed *removed)
+/* Collapses edges and fits the mesh; with limits, again as long as that takes 2 % away. */
+static int collapse_and_fit(struct collapse *c)
+{
+    struct vox_rings *r = &c->rings;
+    const struct vox_fit_from from = {(const float(*)[3])c->old, c->into, c->drifts, c->limits};
+    uint32_t before;
+    do {
+        for (uint32_t v = 0; v < r->mesh->vertex_count; v++)
+            if (vox_first_corner(r, v) != VOX_NONE)
+                sum_around(c, v);
+        before = r->alive;
+        BSQ_PASS(collapse_edges(c));
+        if (!c->limits)
+            free_candidates(c);
+        BSQ_PASS(vox_fit(r, &from));
+    } while (c->limits && r->alive < gain_least * before);
+    return 0;
+}
+
+int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_limits *limits,
+                 struct vox_mesh *mesh, struct vox_removed *removed)
 {
     static const char what[] = "an edge collapse";
     const uint64_t vertices = mesh->vertex_count;
@@ -625,6 +657,7 @@ int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh,
                          .target = target,
                          .unit = find_unit(mesh),
                          .removed = removed,
+                         .limits = limits,
                          /* twice the edges of a closed mesh */
                          .heap_capacity = 3 * (uint64_t)mesh->triangle_count + 16};
     int status = 0;
@@ -638,13 +671,13 @@ int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh,
     BSQ_TRY(BSQ_ALLOC(ctx, what, vertices, &c.into));
     BSQ_TRY(BSQ_ALLOC(ctx, what, c.heap_capacity, &c.heap));
     memcpy(c.old, mesh->positions, vertices * sizeof *c.old);
-    for (uint32_t v = 0; v < vertices; v++) {
+    for (uint32_t v = 0; v < vertices; v++)
         c.into[v] = v;
-        sum_around(&c, v);
-    }
-    BSQ_TRY(collapse_edges(&c));
-    free_candidates(&c);
-    BSQ_TRY(vox_fit(&c.rings, &(struct vox_fit_from){(const float(*)[3])c.old, c.into, c.drifts}));
+    if (limits)
+        vox_limits_restart(limits);
+    BSQ_TRY(collapse_and_fit(&c));
+    if (limits)
+        vox_limits_number(limits, &c.rings);
     vox_rings_compact(&c.rings);
 done:
     free_candidates(&c);

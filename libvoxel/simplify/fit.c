@@ -290,8 +290,14 @@ static void move_vertex(struct fit *f, uint32_t v)
     const double most = sqrt(advice->squares / weight / bsq_dotd(x, x));
     for (int k = 0; k < 3; k++)
         p[k] = (float)((double)r->mesh->positions[v][k] + fmin(fit_stride, most) * x[k]);
-    if (isfinite(p[0] + p[1] + p[2]) && !vox_makes_fold(r, v, VOX_NONE, p))
-        memcpy(r->mesh->positions[v], p, sizeof p);
+    if (!isfinite(p[0] + p[1] + p[2]) || vox_makes_fold(r, v, VOX_NONE, p))
+        return;
+    if (f->from->limits) {
+        if (!vox_limits_allow(f->from->limits, r, v, VOX_NONE, p))
+            return;
+        vox_limits_change(f->from->limits);
+    }
+    memcpy(r->mesh->positions[v], p, sizeof p);
 }
 
 int vox_fit(struct vox_rings *r, const struct vox_fit_from *from)
@@ -315,8 +321,11 @@ int vox_fit(struct vox_rings *r, const struct vox_fit_from *from)
     }
     for (int round = 0; round < FIT_ROUNDS; round++) {
         BSQ_TRY(take_advice(&f));
-        for (uint32_t v = 0; v < mesh->vertex_count; v++)
+        for (uint32_t v = 0; v < mesh->vertex_count; v++) {
+            if (v % VOX_CHECK_EVERY == 0)
+                BSQ_TRY(bsq_check(r->ctx));
             move_vertex(&f, v);
+        }
     }
 done:
     BSQ_FREE(r->ctx, f.advice, f.areas, f.near);

@@ -8,13 +8,14 @@
 #ifndef VOX_FIT_H
 #define VOX_FIT_H
 
-#include "libvoxel/simplify/rings.h"
+#include "libvoxel/simplify/limits.h"
 
 /* What vox_fit() takes of the collapses before it. */
 struct vox_fit_from {
     const float (*positions)[3]; /* of the old mesh's vertices; its triangles are in rings.mesh */
     uint32_t *into;              /* sets of vertices that are one now, for vox_find_root() */
     const float *drifts;         /* of vertices: about how far the surface there has gone */
+    struct vox_limits *limits;   /* NULL, or how far it may go */
 };
 
 /* Moves vertices so that the squared distances of the old mesh become less, and that none is far

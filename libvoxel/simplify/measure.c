@@ -187,6 +187,19 @@ static double bound_by_corners(const struct vox_measuring *m, const float *const
     return bound;
 }
 
+/* Marks the triangle of the mesh that is closest to where a triangle of the scan may be farther
+ * than the limit. */
+static void mark_closest(const struct vox_measuring *m, const float *const corners[3])
+{
+    struct vox_bound bound = vox_limit_bound(m);
+    double square = INFINITY;
+    for (int k = 0; k < 3; k++)
+        bound.where[k] = (double)corners[0][k];
+    vox_bound_triangle(&m->tree, corners, &bound);
+    if (fmax(bound.high, bound.low) > m->limit)
+        m->marks[vox_closest_point(&m->tree, bound.where, &square)] = 1;
+}
+
 static int measure_triangles(const struct vox_measuring *m, const struct fmt_tris_chunk *chunk,
                              const struct chunk_vertices *of, struct measure_slot *slot)
 {
@@ -208,8 +221,12 @@ static int measure_triangles(const struct vox_measuring *m, const struct fmt_tri
             b->high = bound > b->high ? bound : b->high;
             continue;
         }
-        vox_bound_triangle(&m->tree, corners, b);
-        allowed = vox_bound_allowed(b);
+        if (m->marks) {
+            mark_closest(m, corners);
+        } else {
+            vox_bound_triangle(&m->tree, corners, b);
+            allowed = vox_bound_allowed(b);
+        }
         if (t % 256 == 0)
             if (bsq_check(m->ctx) < 0)
                 return BSQ_EINTR;
@@ -243,7 +260,9 @@ static int produce_chunk(void *arg, void *slot_, uint64_t sequence)
     memset(slot, 0, sizeof *slot);
     /* A little less than the guess, so that the vertex that it is from is noted. */
     slot->bound = (struct vox_bound){.low = m->guess * (1 - 1e-12), .slack = m->scan.slack};
-    return !(m->scan.low > m->enough) && sequence < fmt_tris_get_header(m->file)->chunk_count;
+    if (m->marks)
+        slot->bound = vox_limit_bound(m);
+    return sequence < fmt_tris_get_header(m->file)->chunk_count;
 }
 
 static int measure_chunk(void *arg, void *slot_, uint64_t sequence, unsigned worker)
@@ -337,26 +356,29 @@ static void measure_sizes(struct vox_measuring *m)
 }
 
 int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_mesh *mesh,
-                double enough, struct vox_distances *scan_to_mesh,
+                struct vox_marks *marks, struct vox_distances *scan_to_mesh,
                 struct vox_distances *mesh_to_scan)
 {
-    struct vox_measuring m = {.ctx = ctx, .file = file, .mesh = mesh, .enough = enough};
+    struct vox_measuring m = {.ctx = ctx, .file = file, .mesh = mesh};
     const uint32_t count = mesh->triangle_count;
     int status = 0;
     measure_sizes(&m);
+    if (marks) {
+        m.limit = marks->limit;
+        m.marks = marks->triangles;
+    }
     BSQ_TRY(BSQ_CALLOC(ctx, "distances", 1, &m.from_scan));
     BSQ_TRY(BSQ_CALLOC(ctx, "distances", 1, &m.from_mesh));
     BSQ_TRY(BSQ_ALLOC(ctx, "bounds", count, &m.bounds));
     BSQ_TRY(vox_closest_build(ctx, (const float(*)[3])mesh->positions,
                               (const uint32_t(*)[3])mesh->triangles, count, false, &m.tree));
     BSQ_TRY(measure_scan(&m));
-    if (!(m.scan.low > enough)) {
-        for (uint32_t t = 0; t < count; t++)
-            m.bounds[t] = vox_cover_bound(&m.cover, t);
-        BSQ_TRY(vox_measure_samples(&m));
-        if (!(m.low.low > enough))
-            BSQ_TRY(vox_resolve_bounds(&m));
-    }
+    for (uint32_t t = 0; t < count; t++)
+        m.bounds[t] = vox_cover_bound(&m.cover, t);
+    if (marks)
+        m.scan = m.low = vox_limit_bound(&m);
+    BSQ_TRY(vox_measure_samples(&m));
+    BSQ_TRY(vox_resolve_bounds(&m));
     summarize(&m, m.from_scan, &m.scan, scan_to_mesh);
     summarize(&m, m.from_mesh, &m.low, mesh_to_scan);
 done:

@@ -23,7 +23,9 @@ struct vox_measuring {
     struct bsq_ctx *ctx;
     const struct fmt_tris_file *file;
     const struct vox_mesh *mesh;
-    double enough, diagonal;
+    double diagonal;
+    double limit;            /* of distances, if triangles are marked */
+    _Atomic uint8_t *marks;  /* NULL, or of triangles of the mesh: see vox_measure() */
     double reach;            /* square root of a mesh's triangle's area, in the mean */
     double guess;            /* distance of a vertex of the scan that is farther than most */
     struct vox_closest tree; /* of the mesh */
@@ -45,6 +47,14 @@ static inline double vox_longest_edge(const float *const corners[3])
         longest = square > longest ? square : longest;
     }
     return sqrt(longest);
+}
+
+/* Begins the bound of something whose distances are only compared with the limit. */
+static inline struct vox_bound vox_limit_bound(const struct vox_measuring *m)
+{
+    return (struct vox_bound){.low = fmin(m->limit / 1.0100001, m->limit - m->low.slack),
+                              .slack = m->low.slack,
+                              .enough = m->limit};
 }
 
 /* Adds a distance to sums. */

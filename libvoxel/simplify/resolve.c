@@ -130,6 +130,8 @@ static int resolve_one(void *arg, uint64_t index, unsigned worker)
     vox_closest_corners(&r->m->tree, open->number, corners);
     /* A little less, so that a point which is as far is noted. */
     open->bound = (struct vox_bound){.low = r->m->low.low * (1 - 1e-12), .slack = r->m->low.slack};
+    if (r->m->marks)
+        open->bound = vox_limit_bound(r->m);
     vox_bound_triangle(&r->near_tree, corners, &open->bound);
     return bsq_check(r->m->ctx);
 }
@@ -152,7 +154,9 @@ static int resolve_chosen(struct resolving *r)
         const struct open_triangle *open = &r->open[i];
         r->done[open->number] = true;
         m->bounds[open->number] = fmin(m->bounds[open->number], open->bound.high);
-        if (all)
+        if (m->marks)
+            m->marks[open->number] |= fmax(open->bound.low, open->bound.high) > m->limit;
+        else if (all)
             vox_bound_note(&m->low, open->bound.where, open->bound.low);
     }
 done:
@@ -202,7 +206,7 @@ int vox_resolve_bounds(struct vox_measuring *m)
     BSQ_TRY(BSQ_ALLOC(ctx, "triangles", count, &r.chosen));
     BSQ_TRY(BSQ_ALLOC(ctx, "near triangles", r.near_most, &r.near));
     BSQ_TRY(BSQ_ALLOC(ctx, "near triangles", r.near_most, &r.triangles));
-    for (list_open(&r); r.open_count > 0 && !(m->low.low > m->enough); list_open(&r)) {
+    for (list_open(&r); r.open_count > 0; list_open(&r)) {
         choose_open(&r);
         BSQ_TRY(gather_near(&r));
         for (; r.near_count > r.near_most && r.chosen_count > 1;) {

@@ -294,7 +294,7 @@ static int measure_all(struct sampling *s, double most)
 /* Adds up the distances, and lowers the bounds of open triangles. */
 static void use_samples(struct vox_measuring *m, const struct sampling *s)
 {
-    for (uint32_t i = 0; i < s->sample_count; i++) {
+    for (uint32_t i = 0; i < s->sample_count && !m->marks; i++) {
         const double square = get_found(s, i);
         const float *p = s->points[i];
         if (i < s->area_samples)
@@ -303,11 +303,16 @@ static void use_samples(struct vox_measuring *m, const struct sampling *s)
                        sqrt(square));
     }
     uint32_t at = s->area_samples + m->mesh->vertex_count;
-    for (uint32_t t = 0; t < m->mesh->triangle_count; t++)
-        if (s->parts[t] > 0) {
+    for (uint32_t t = 0; t < m->mesh->triangle_count; t++) {
+        const uint32_t end = at + count_grid(s->parts[t]);
+        if (at < end)
             m->bounds[t] = fmin(m->bounds[t], bound_by_grid(s, t, at));
-            at += count_grid(s->parts[t]);
-        }
+        for (; at < end; at++)
+            if (m->marks && get_found(s, at) > m->limit * m->limit) {
+                m->marks[t] = 1;
+                m->bounds[t] = 0; /* nothing more to find out */
+            }
+    }
 }
 
 int vox_measure_samples(struct vox_measuring *m)

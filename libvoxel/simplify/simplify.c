@@ -6,12 +6,21 @@
 #include "base/context.h"
 #include "base/job_files.h"
 #include "formats/asset/low_mesh.h"
+#include "libvoxel/simplify/limits.h"
 #include "libvoxel/simplify/steps.h"
 #include "libvoxel/temp_tris.h"
 
 /* Triangles in memory for the last collapse: enough that what comes before it does not show, see
  * docs/decisions. For an error, as many as its mesh may need. */
-enum { LAST_FACTOR = 6, LAST_TRIANGLES = 200000, ERROR_TRIANGLES = 1500000, ERROR_STEPS = 16 };
+enum {
+    LAST_FACTOR = 6,
+    LAST_TRIANGLES = 200000,
+    ERROR_TRIANGLES = 1500000,
+    ERROR_STEP = 4,
+    ERROR_ROUNDS = 16
+};
+/* Shares of an error: how far a mesh may be before limits count, and the limits. */
+static const double error_unlimited = 0.4, error_limit = 0.95;
 
 struct simplifying {
     struct bsq_ctx *ctx;
@@ -100,25 +109,25 @@ done:
 
 /* ---- steps ---- */
 
-static int collapse_to(struct simplifying *s, struct vox_mesh *mesh, uint64_t target)
+static int collapse_to(struct simplifying *s, struct vox_mesh *mesh, uint64_t target,
+                       struct vox_limits *limits)
 {
     const double start = bsq_seconds_now();
     const uint64_t more = mesh->triangle_count > target ? mesh->triangle_count - target : 0;
     bsq_progress_begin(s->ctx, "collapsing edges", "triangles", more);
-    int status = vox_collapse(s->ctx, target < UINT32_MAX ? (uint32_t)target : UINT32_MAX, mesh,
-                              &s->removed);
+    int status = vox_collapse(s->ctx, target < UINT32_MAX ? (uint32_t)target : UINT32_MAX, limits,
+                              mesh, &s->removed);
     bsq_progress_end(s->ctx);
     s->report->seconds_collapse += bsq_seconds_now() - start;
     return status;
 }
 
-static int measure(struct simplifying *s, const struct vox_mesh *mesh, double enough,
-                   struct vox_simplified *out)
+static int measure(struct simplifying *s, const struct vox_mesh *mesh, struct vox_simplified *out)
 {
     const double start = bsq_seconds_now();
     out->triangles = mesh->triangle_count;
     out->vertices = mesh->vertex_count;
-    int status = vox_measure(s->ctx, s->file, mesh, enough, &out->from_scan, &out->from_mesh);
+    int status = vox_measure(s->ctx, s->file, mesh, NULL, &out->from_scan, &out->from_mesh);
     s->report->seconds_measure += bsq_seconds_now() - start;
     return status;
 }
@@ -142,18 +151,63 @@ static double largest(const struct vox_simplified *level)
     return fmax(level->from_scan.max, level->from_mesh.max);
 }
 
-/* Finds the smallest mesh whose measured distances stay within the error, to 2 % of its triangles.
- * Each trial goes on from the smallest one that did. */
+/* Marks triangles of the mesh where a distance may be above a limit. Sets *count to how many. The
+ * caller frees marks->triangles. */
+static int mark_triangles(struct simplifying *s, const struct vox_mesh *mesh,
+                          struct vox_marks *marks, uint32_t *count)
+{
+    const double start = bsq_seconds_now();
+    struct vox_distances ignored[2];
+    BSQ_PASS(BSQ_CALLOC(s->ctx, "marks of triangles", mesh->triangle_count, &marks->triangles));
+    BSQ_PASS(vox_measure(s->ctx, s->file, mesh, marks, &ignored[0], &ignored[1]));
+    *count = 0;
+    for (uint32_t t = 0; t < mesh->triangle_count; t++)
+        *count += marks->triangles[t];
+    s->report->seconds_measure += bsq_seconds_now() - start;
+    return 0;
+}
+
+/* Collapses edges of a copy of the mesh, which takes its place if no distance is above `error`
+ * then. Sets *marked to how many of its triangles are marked. Tightens limits there by `share`. */
+static int try_collapse(struct simplifying *s, uint64_t target, struct vox_limits *limits,
+                        float share, double error, uint32_t *marked)
+{
+    const struct vox_removed before = s->removed;
+    struct vox_marks marks = {.limit = error / 1.0101}; /* bounds are true to 1 % */
+    struct vox_mesh trial = {0};
+    int status = 0;
+    BSQ_TRY(vox_mesh_copy(s->ctx, &s->mesh, 0, &trial));
+    BSQ_TRY(collapse_to(s, &trial, target, limits));
+    BSQ_TRY(mark_triangles(s, &trial, &marks, marked));
+    if (*marked > 0) {
+        s->removed = before;
+        if (limits)
+            vox_limits_tighten(limits, &trial, marks.triangles, share);
+    } else {
+        vox_mesh_free(s->ctx, &s->mesh);
+        s->mesh = trial;
+        trial = (struct vox_mesh){0};
+    }
+done:
+    bsq_free(s->ctx, (void *)marks.triangles);
+    vox_mesh_free(s->ctx, &trial);
+    return status;
+}
+
+/* Makes a mesh whose distances stay within the error. Limits take time, so edges collapse without
+ * them as long as that leaves most of the error. Then each place has its own limit, which falls
+ * where the result was too far away, at last to 0. */
 static int simplify_to_error(struct simplifying *s)
 {
     const double error = s->options->error;
-    struct vox_simplified *kept = &s->report->levels[0], tried;
-    struct vox_mesh trial = {0};
-    double low = 2;
+    struct vox_simplified *kept = &s->report->levels[0];
+    struct vox_limits limits = {0};
+    uint64_t before;
+    uint32_t marked = 1;
     int status = 0;
     *kept = (struct vox_simplified){.target = 0};
     s->report->level_count = 1;
-    BSQ_TRY(measure(s, &s->mesh, INFINITY, kept));
+    BSQ_TRY(measure(s, &s->mesh, kept));
     if (largest(kept) > error) {
         status = bsq_fail(s->ctx, BSQ_EDATA,
                           "--error: %g cannot be kept: a mesh of %" PRIu64
@@ -161,29 +215,21 @@ static int simplify_to_error(struct simplifying *s)
                           error, kept->triangles, largest(kept));
         goto done;
     }
-    for (int i = 0; i < ERROR_STEPS && 1.02 * low < s->mesh.triangle_count; i++) {
-        const double middle = sqrt(low * s->mesh.triangle_count);
-        const struct vox_removed before = s->removed;
-        tried = (struct vox_simplified){.target = 0};
-        BSQ_TRY(vox_mesh_copy(s->ctx, &s->mesh, 0, &trial));
-        BSQ_TRY(collapse_to(s, &trial, (uint64_t)middle));
-        const bool stuck = trial.triangle_count == s->mesh.triangle_count;
-        if (!stuck)
-            BSQ_TRY(measure(s, &trial, error, &tried));
-        if (!stuck && largest(&tried) <= error) {
-            vox_mesh_free(s->ctx, &s->mesh);
-            s->mesh = trial;
-            trial = (struct vox_mesh){0};
-            *kept = tried;
-        } else {
-            low = middle;
-            s->removed = before;
-        }
-        vox_mesh_free(s->ctx, &trial);
-    }
+    do {
+        before = s->mesh.triangle_count;
+        BSQ_TRY(try_collapse(s, before / ERROR_STEP, NULL, 1, error_unlimited * error, &marked));
+    } while (s->mesh.triangle_count < before / 2);
+    BSQ_TRY(vox_limits_begin(s->ctx, &s->mesh, error_limit * error, &limits));
+    marked = 1;
+    for (int round = 0; round < ERROR_ROUNDS && marked > 0; round++)
+        BSQ_TRY(try_collapse(s, 2, &limits, round < ERROR_ROUNDS / 2 ? 0.5F : 0, error, &marked));
+    BSQ_TRY(measure(s, &s->mesh, kept));
+    /* That none is above it is known from the marks; these bounds may be higher. */
+    kept->from_scan.max = fmin(kept->from_scan.max, error);
+    kept->from_mesh.max = fmin(kept->from_mesh.max, error);
     status = write_level(s, 0);
 done:
-    vox_mesh_free(s->ctx, &trial);
+    vox_limits_free(&limits);
     return status;
 }
 
@@ -193,8 +239,8 @@ static int simplify_to_targets(struct simplifying *s)
         struct vox_simplified *level = &s->report->levels[i];
         *level = (struct vox_simplified){.target = s->options->targets[i]};
         s->report->level_count = i + 1;
-        BSQ_PASS(collapse_to(s, &s->mesh, level->target));
-        BSQ_PASS(measure(s, &s->mesh, INFINITY, level));
+        BSQ_PASS(collapse_to(s, &s->mesh, level->target, NULL));
+        BSQ_PASS(measure(s, &s->mesh, level));
         BSQ_PASS(write_level(s, i));
     }
     return 0;
@@ -330,7 +376,7 @@ int vox_measure_mesh(struct bsq_ctx *ctx, const char *scan_path, const struct vo
     BSQ_TRY(fmt_tris_open_temp(ctx, &mesh->file, &low));
     BSQ_TRY(vox_reduce_chunks(ctx, low, UINT64_MAX, NULL, false, &whole));
     move_mesh(&whole, fmt_tris_get_header(low)->origin, fmt_tris_get_header(file)->origin);
-    status = vox_measure(ctx, file, &whole, INFINITY, from_scan, from_mesh);
+    status = vox_measure(ctx, file, &whole, NULL, from_scan, from_mesh);
 done:
     vox_mesh_free(ctx, &whole);
     fmt_tris_close(low);

@@ -52,6 +52,8 @@ int vox_thin(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh);
  * borders move along their border only. At last all vertices move to where they fit the mesh
  * before the collapses best, see fit.h. */
 
+struct vox_limits; /* limits.h */
+
 /* What the last phase took away, beside edges. */
 struct vox_removed {
     uint64_t pieces, triangles; /* pieces that were small, and their triangles when they went */
@@ -60,20 +62,28 @@ struct vox_removed {
 
 /* Collapses edges of a welded mesh, cheapest first, until `target` triangles are left or no edge
  * can collapse. Small pieces and narrow handles go when that costs no more; *removed counts them.
- * Then fits and compacts the mesh. Counts triangles as progress of the context. The result depends
- * on the mesh and the target alone. Errors: BSQ_ENOMEM, BSQ_EINTR. */
-int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh,
-                 struct vox_removed *removed);
+ * Then fits and compacts the mesh. limits: NULL, or of a mesh that this one is a copy of; they hold
+ * for each step, and then pieces and handles stay and no folds are made. Counts triangles as
+ * progress of the context. The result depends on the mesh, the target and the limits alone. Errors:
+ * BSQ_ENOMEM, BSQ_EINTR. */
+int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_limits *limits,
+                 struct vox_mesh *mesh, struct vox_removed *removed);
 
 /* ---- measure.c: how far a low-poly mesh is from its scan, both ways ---- */
 
+/* Triangles of a mesh that the scan is too far from, or that are too far from it. */
+struct vox_marks {
+    double limit;
+    _Atomic uint8_t *triangles; /* of the mesh: receive 1, or stay as they are */
+};
+
 /* Measures the distance of each point of the scan from the closest point of the mesh, and of the
  * mesh from the scan. Maxima are bounds, means are by area. Reads the scan twice, chunk by chunk,
- * and then the chunks around triangles that are still open. Stops as soon as a distance is above
- * `enough`; then the figures of that kind are those so far, and others may be 0. Errors:
- * BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA, BSQ_EINTR. */
+ * and then the chunks around triangles that are still open. marks: NULL, or triangles are marked
+ * where a bound is above the limit, and maxima mean nothing: if none is, no point is farther.
+ * Errors: BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA, BSQ_EINTR. */
 int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_mesh *mesh,
-                double enough, struct vox_distances *scan_to_mesh,
+                struct vox_marks *marks, struct vox_distances *scan_to_mesh,
                 struct vox_distances *mesh_to_scan);
 
 #endif
