@@ -283,6 +283,15 @@ def test_small_charts_get_texels():
     assert (np.bincount(charts, abs(bisque.uv._signed_areas(plain))) * 1024 ** 2 < 16).mean() > 0.1
 
 
+def test_charts_that_the_library_made_points_do_not_outgrow_the_others():
+    square, speck = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[2, 0, 0], [2.001, 0, 0], [2, 0.001, 0]]
+    mesh = bisque.Mesh(np.array(square + speck, float), np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]]))
+    uvs = np.array([[[0, 0], [0.9, 0], [0.9, 0.9]], [[0, 0], [0.9, 0.9], [0, 0.9]], [[0.95, 0.95]] * 3])
+    grown = bisque.uv._enlarge_small(mesh, uvs, 512)
+    corners = grown.vertices[grown.faces[2]]
+    assert 0.002 < np.ptp(corners, axis=0).max() < 0.2
+
+
 def asset(*arguments, code=0):
     done = run_asset(*arguments)
     assert done.returncode == code, done.stderr

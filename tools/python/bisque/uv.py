@@ -182,17 +182,25 @@ def check_uvs(low: Any, size: int = 1024, **job: Any) -> dict:
             "stretch_p95": _percentile(stretches[real], areas[real], 0.95), "size": size}
 
 
+def _extents(charts: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Returns the longest side of the box of each chart."""
+    low, high = (np.full((charts.max() + 1, corners.shape[2]), of) for of in (np.inf, -np.inf))
+    np.minimum.at(low, charts, corners.min(axis=1))
+    np.maximum.at(high, charts, corners.max(axis=1))
+    return (high - low).max(axis=1)
+
+
 def _enlarge_small(mesh: Mesh, uvs: np.ndarray, size: int) -> Mesh | None:
     """Returns the mesh with a piece of its own for each chart, of which small ones are larger. None: few are small."""
     charts = _charts(uvs, mesh.faces)
     texels = np.bincount(charts, np.abs(_signed_areas(uvs))) * size * size
     if (texels < SMALL_TEXELS).mean() <= MOST_SMALL:
         return None
-    low, high = np.full((len(texels), 2), np.inf), np.full((len(texels), 2), -np.inf)
-    np.minimum.at(low, charts, uvs.min(axis=1))
-    np.maximum.at(high, charts, uvs.max(axis=1))
-    # A needle of no area would grow without end.
-    most = 1 / (8 * (high - low).max(axis=1).clip(1e-9))
+    p = mesh.vertices[mesh.faces].astype(np.float64)
+    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1).sum() / 2
+    scale = np.sqrt(texels.sum() / max(area, 1e-300)) / size
+    # A needle of no area would grow without end, and so would what the library made a point of.
+    most = 1 / (8 * np.maximum(_extents(charts, uvs), scale * _extents(charts, p)).clip(1e-9))
     factor = np.sqrt(WANTED_TEXELS / texels.clip(1e-9)).clip(1, most.clip(1))
     corners, faces = np.unique(charts[:, None] * len(mesh.vertices) + mesh.faces, return_inverse=True)
     chart, vertices = corners // len(mesh.vertices), mesh.vertices[corners % len(mesh.vertices)].astype(np.float64)
