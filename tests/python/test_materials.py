@@ -149,7 +149,8 @@ def close(found, expected, tolerance):
 @pytest.mark.parametrize("surface", ["exact", "grid"])
 def test_asset_has_the_materials_of_its_scan(tmp_path, surface):
     scan = write_scan(tmp_path, "MASK", {"KHR_materials_clearcoat": {"clearcoatFactor": 0.5}})
-    certificate = bisque.asset(scan, tmp_path / "a.glb", low=write_low(tmp_path / "low.obj"), size=SIZE, surface=surface)
+    certificate = bisque.asset(scan, tmp_path / "a.glb", low=write_low(tmp_path / "low.obj"), size=SIZE, surface=surface,
+                               images="png")
     level, = certificate["levels"]
     assert sorted(level["materials"].pop("taken")) == ["emission", "metallic", "normal_map", "occlusion", "opacity", "roughness"]
     assert level["materials"] == {"not_taken": ["clearcoat"], "alpha": "mask", "double_sided": True}
