@@ -7,7 +7,8 @@ from . import core, programs
 from .mesh import Error
 
 #: Channels of a scan that a GLB file has a place for, and their textures in MTL files.
-CHANNELS = {"roughness": "map_Pr", "metallic": "map_Pm", "occlusion": "map_ao", "emission": "map_Ke", "opacity": "map_d"}
+CHANNELS = {"roughness": "map_Pr", "metallic": "map_Pm", "occlusion": "map_ao", "emission": "map_Ke",
+            "opacity": "map_d"}
 #: The channel of a scan's own normal map, which is part of its normals.
 NORMAL_MAP = "normal_map"
 

@@ -200,8 +200,8 @@ def _compare_views(path: Path, chunks: str, reach: float, maps: list[str], two_s
         names = ["normal", "mask", *(["color"] if "color" in maps else [])]
         channels = [name for name in maps if name != "color"]
         scan = core.bake(
-            chunks, _atlas(axes, centre, half, distance), names + channels, size=(COLUMNS * SIDE, ROWS * SIDE), samples=1,
-                  padding=0, front=0, back=2 * distance, normal_space="object", sample_type="float", as_is=True,
+            chunks, _atlas(axes, centre, half, distance), names + channels, size=(COLUMNS * SIDE, ROWS * SIDE),
+            samples=1, padding=0, front=0, back=2 * distance, normal_space="object", sample_type="float", as_is=True,
             two_sided=two_sided, output=f"{folder}/scan_<MAP>.exr", progress=progress, **job)
         drawn = [_draw(_project(glb["p"] - centre, view, half, distance)) for view in axes]
         shown, weights = (np.concatenate(part) for part in zip(*drawn))
