@@ -269,11 +269,15 @@ class Trial:
     def draw_triangles(self, program):
         counts = self.random.sample(range(4, 200), self.random.choice([1, 1, 3]))
         self.low_name = ("m_low_<N>" if len(counts) > 1 else "m_low") + self.odd + self.random.choice([".obj", ".ply", ".glb"])
-        return ",".join(map(str, counts))
+        share = ["%.3g%%" % self.random.uniform(5, 90)] if self.random.random() < 0.2 else []
+        return ",".join([*map(str, counts[len(share):]), *share])
 
     def draw_error(self, program):
         self.low_name = "m_low" + self.random.choice([".obj", ".ply", ".glb"])
-        return self.length(program)
+        return self.random.choice([self.length(program), "%.3g%%" % self.random.uniform(0.1, 20)])
+
+    def draw_min_component(self, program):
+        return "%.3g%s" % (self.random.uniform(0, 30), self.random.choice(["", "%"]))
 
     def draw_channels(self, program):
         words = ["id", "roughness", "opacity", "id,roughness"] + ["metallic=../in/rough" + self.image] * self.has_uvs
