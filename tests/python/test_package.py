@@ -187,7 +187,7 @@ def test_baked_arrays_are_the_files(scan, low, tmp_path):
     assert (tmp_path / "sphere.glb").write_bytes(open(maps.glb(tmp_path / "a.glb"), "rb").read())
     assert (tmp_path / "a.glb").read_bytes()[:4] == b"glTF"
     with pytest.raises(ValueError, match="format"):
-        maps.save(tmp_path / "x_<MAP>.png")
+        maps.save(tmp_path / "x_<MAP>.tif")
     only = bisque.bake(scan, low, ("normal",), size=64, format="")
     assert only["normal"].shape == (64, 64, 3) and not only.files
 
