@@ -237,11 +237,11 @@ static int name_in_folder(struct cli *cli, struct bake_arguments *arguments)
     const char *dot = strrchr(name, '.');
     const int stem =
         by_object ? 0 : (int)(dot && dot > name ? dot - name : (ptrdiff_t)strlen(name));
-    char *output = cli_keep_text("%s%s%s%s%.*s_<MAP>%s.%s", path, slashed ? "" : "/",
-                                 prefixes[bake->preset], by_object ? BAKE_OBJECT_TOKEN : "", stem,
-                                 name, tiles > 1 ? "." BAKE_UDIM_TOKEN : "",
-                                 suffixes[bake->preset]);
-    take_literally(output + length + !slashed, stem);
+    char *output =
+        cli_keep_text("%s%s%s%s%.*s_<MAP>%s.%s", path, slashed ? "" : "/", prefixes[bake->preset],
+                      by_object ? BAKE_OBJECT_TOKEN : "", stem, name,
+                      tiles > 1 ? "." BAKE_UDIM_TOKEN : "", suffixes[bake->preset]);
+    take_literally(output + length + !slashed, stem + (int)strlen(prefixes[bake->preset]));
     bake->output_path = output;
     bake->engine_names = true;
     return 0;

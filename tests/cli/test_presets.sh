@@ -110,6 +110,8 @@ json '[.tiles[].maps.mask] | sort == ["maps/low_mask.exr", "maps/second_mask.exr
 cp low.obj '<MAP>.obj'
 ok $bake scan.nvdb '<MAP>.obj' -o maps/ --maps mask --json
 json '.tiles[0].maps.mask == "maps/_MAP__mask.exr"'
+ok $bake scan.nvdb '<MAP>.obj' --preset unreal -o maps/ --maps mask --json
+json '.tiles[0].maps.mask == "maps/T__MAP__mask.png"'
 ok run bisque-bake --list tiles low.obj --size 4k --json
 json '.tiles[0].width == 4096'
 ok run bisque-bake --list tiles low.obj --size 1kx512 --json
