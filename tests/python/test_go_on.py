@@ -56,7 +56,7 @@ def write_inputs(folder, given):
 
 def draw_asset(draw):
     words = ["-c", ASSET, draw.choice(["in/scan.obj", "in/scan.obj", "in/scan.tris"]), "-o", "a.glb"]
-    words += ["--preset", "museum"] if draw.random() < 0.2 else [
+    words += ["--preset", "museum", "--units", "m"] if draw.random() < 0.2 else [
         "--triangles", draw.choice(["40", "60"]), "--size", draw.choice(["16", "32"])]
     for name, values in CHOICES.items():
         if draw.random() < (0.5 if name == "--keep" else 0.2):
@@ -171,4 +171,4 @@ def test_the_next_run_equals_a_fresh_one(tmp_path):
     ended = sum(code in (75, -signal.SIGKILL) for code in codes)
     print(f"seed {seed}: {TRIALS} trials, {len(codes)} runs before the last one, {ended} of which were interrupted")
     assert not failures
-    assert ended > len(codes) / 4
+    assert ended > len(codes) / (4 if LONG else 10)  # few trials may be unlucky

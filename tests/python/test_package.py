@@ -391,10 +391,20 @@ def test_levels_of_a_scan_in_memory(scan, tmp_path, monkeypatch):
     monkeypatch.setitem(bisque.PRESETS["museum"], "levels", [(300, 64), (900, 128)])
     monkeypatch.setitem(bisque.PRESETS["museum"], "maps", ("normal", "color"))
     seen = []
-    certificate = bisque.asset(scan, tmp_path / "s.glb", preset="museum", memory="512M",
+    certificate = bisque.asset(scan, tmp_path / "s.glb", preset="museum", units="cm", memory="512M",
                                progress=lambda *what: seen.append(what[1]))
     assert [level["size"] for level in certificate["levels"]] == [64, 128]
-    assert (tmp_path / "s_0.glb").exists() and (tmp_path / "s_asset/1/normal.png").exists()
+    names = ["s-0.3k-64-thumb.glb", "s-0.9k-128-high.glb", "s-0.9k-64-medium.glb", "s-0.9k-32-low.glb"]
+    scene = json.loads((tmp_path / "scene.svx.json").read_text())
+    files = [derivative["assets"][0] for derivative in scene["models"][0]["derivatives"]]
+    assert [file["uri"] for file in files] == names and [file["imageSize"] for file in files] == [64, 128, 64, 32]
+    assert [file["byteSize"] for file in files] == [(tmp_path / name).stat().st_size for name in names]
+    assert sorted(path.name for path in tmp_path.glob("*.glb")) == sorted(names)
+    with pytest.raises(ValueError, match="needs the unit"):
+        bisque.asset(scan, tmp_path / "s.glb", preset="museum")
+    with pytest.raises(bisque.Error, match="is of another asset"):
+        bisque.asset(scan, tmp_path / "t.glb", preset="museum", units="m")
+    assert (tmp_path / "s_asset/1/normal.png").exists()
     assert not (tmp_path / "s_asset/bisque-steps").exists() and not (tmp_path / "s.glb").exists()
     assert seen == sorted(seen) and 0 <= seen[0] and 500 < seen[-1] <= 1000
     errors = [level["distance"]["from_scan"]["mean"] for level in certificate["levels"]]

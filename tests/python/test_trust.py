@@ -224,10 +224,11 @@ def test_an_asset_has_no_files_of_an_older_one(tmp_path, monkeypatch):
     made = tmp_path / "a_asset"
     (made / "ao.png").write_text("mine now")
     monkeypatch.setitem(bisque.PRESETS["museum"], "levels", [(40, 16), (60, 16)])
-    bisque.asset(scan, out, preset="museum", maps=("normal",))
+    bisque.asset(scan, out, preset="museum", units="m", maps=("normal",))
+    assert (tmp_path / "a-0.06k-16-high.glb").exists() and (tmp_path / "scene.svx.json").exists()
     assert (made / "1/low.obj").exists() and not (made / "low.obj").exists()
     bisque.asset(scan, out, maps=("normal",), **HOW)
-    assert not list(tmp_path.glob("a_[01].glb")) and {path.name for path in made.iterdir()} == {
+    assert not list(tmp_path.glob("a-*.glb")) and not (tmp_path / "scene.svx.json").exists() and {path.name for path in made.iterdir()} == {
         "asset.json", "low.obj", "low.mtl", "normal.png", "preview.png", "ao.png"}
     assert (made / "ao.png").read_text() == "mine now"
 

@@ -248,8 +248,7 @@ class AssetOperator(Runner, bpy.types.Operator):
         scans = find_scans(settings)
         name = os.path.basename(scans[0]).split(".")[0]
         self.output = os.path.join(make_folder(settings), name + ".glb")
-        options = ["--preset", settings.asset_preset, "--up", "z" if settings.z_up else "y"]
-        options += ["--units", settings.units] if settings.units != "m" else []
+        options = ["--preset", settings.asset_preset, "--up", "z" if settings.z_up else "y", "--units", settings.units]
         if settings.asset_triangles:
             options += ["--triangles", str(settings.asset_triangles), "--size", settings.size]
         if settings.memory:
@@ -259,13 +258,14 @@ class AssetOperator(Runner, bpy.types.Operator):
     def finish(self, _context, result):
         """Adds an object for each level, of which the finest one is shown."""
         items, pictures = [], []
+        finest = max(result["levels"], key=lambda level: level["triangles"])
         for level in result["levels"]:
             folder = os.path.splitext(self.output)[0] + "_asset"
             glb = next(name for name in level["files"] if name.endswith(".glb"))
             items.append(add_asset(os.path.join(os.path.dirname(self.output), glb)))
-            items[-1].hide_set(level is not result["levels"][-1])
+            items[-1].hide_set(level is not finest)
             pictures.append(os.path.join(folder, level["name"] if len(result["levels"]) > 1 else "", "preview.png"))
-        material.show_preview(pictures[-1])
+        material.show_preview(pictures[result["levels"].index(finest)])
         return [level["rays"] for level in result["levels"]]
 
 

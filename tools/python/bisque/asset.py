@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from . import core, glb, materials, place, programs, repair, seen, uv
+from . import core, glb, materials, museum, place, programs, repair, seen, uv
 from .core import Error
 from .mesh import Mesh, as_mesh, is_path, parse_texels, read_mesh
 from .steps import FAILED_IO, Folder, Steps, sha256
@@ -29,7 +29,7 @@ PRESETS: dict[str, dict] = {
     "web": {"levels": [(20_000, 2048)], "maps": ("normal", "color", "ao"), "rays": 32, "images": "jpeg"},
     "game": {"levels": [(10_000, 2048)], "maps": ("normal", "color", "ao", "curvature"),
              "rays": 32, "images": "jpeg"},
-    "museum": {"levels": [(20_000, 512), (100_000, 2048), (150_000, 4096)],
+    "museum": {"levels": [(20_000, 512), (150_000, 4096), (100_000, 2048)],
                "maps": ("normal", "color", "ao"), "rays": 64, "images": "jpeg"},
     "archive": {"levels": [(150_000, 8192)], "maps": ("normal", "color", "ao", "mask"),
                 "rays": 64, "images": "png"},
@@ -238,7 +238,8 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
           command: list[str] | None = None) -> dict:
     """Makes an asset of a scan: OUTPUT.glb, and beside it a folder OUTPUT_asset with the mesh and its
     material (low.obj, low.mtl), the maps, a picture (preview.png) and the certificate, asset.json.
-    Of several levels (preset "museum"), each has a GLB file and a folder with its number.
+    Of several levels (preset "museum", which needs units), each has GLB files of its own and a folder with its
+    number, and `scene.svx.json` shows all in Voyager.
 
     triangles: a number, or "10%" of the scan's; error: instead, the smallest mesh that is nowhere farther from
     the scan, nor the scan from it: a length ("0.2mm", or in the scan's units) or "0.1%" of its diagonal.
@@ -273,6 +274,8 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
     maps = (maps,) if isinstance(maps, str) else maps or ()
     maps = list(dict.fromkeys(name.removeprefix("transfer:") for name in maps))
     _check_inputs(output, made, Path(keep) if keep else made, given)
+    if len(chosen) > 1:
+        museum.check(output, made, bool(units or scale or not place.name_of(paths)))
     job = {"memory": core.parse_bytes(memory), "threads": core.check_number("threads", threads, 0, 65536)}
     level = {"samples": samples, "rays": PRESETS[preset]["rays"], "surface": surface, "library": library,
              "seconds": unwrap_seconds, "mend": mending["mend"], "simplify": mending["simplify"], **packing,
@@ -289,6 +292,8 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
         level["has_normals"] = about["normals"]
         levels = [_bake_level(steps, chunks, about, _low_of(steps, chunks, low, one, job), one, job)
                   for one in _levels(chosen, level, output, made, steps)]
+        if len(chosen) > 1:
+            museum.add_scene(steps.folder / museum.SCENE, output, chosen, levels)
         options = {"preset": preset, "levels": chosen, "samples": samples, "surface": surface,
                    "library": library, **placing, **packing, **given_low, "error": error, "memory": memory,
                    "threads": threads}
@@ -309,7 +314,7 @@ def _levels(chosen: list[tuple[int, int]], common: dict, output: Path, made: Pat
         staged, several = steps.folder / str(number), len(chosen) > 1
         staged.mkdir(exist_ok=True)
         yield {**common, "name": str(number), "triangles": count, "size": side, "obj": staged / "low.obj",
-               "outputs": [(side, output.with_name(f"{output.stem}_{number}.glb") if several else output)],
+               "outputs": museum.outputs(output, number, count, side) if several else [(side, output)],
                "mended": steps.folder / f"mended_{number}.obj", "made": made / str(number) if several else made}
 
 
@@ -400,7 +405,7 @@ def _older_files(made: Path, output: Path, note: Path) -> set[tuple[str, str]]:
         for level in levels:
             own = made / os.path.basename(level["name"]) if len(levels) > 1 else made
             for name, checksum in level["files"].items():
-                folder = output.parent if name.endswith(".glb") else own
+                folder = output.parent if name.endswith((".glb", ".svx.json")) else own
                 found.add((os.path.relpath(folder / os.path.basename(name), made), checksum))
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         pass  # there is none

@@ -360,10 +360,10 @@ def unpack(source: Path, target: Path) -> None:
 
 def pack(source: Path, target: Path, folder: Path, *, images: str = "png", geometry: str = "none", factor: int = 1,
          progress: core.Progress | None = None, **job: Any) -> dict:
-    """Writes a GLB file as another one. images: "jpeg" makes JPEG files of colours, occlusion,
-    roughness and metal (quality 90), "all-jpeg" also of normals (quality 95). geometry: "meshopt" or "draco". factor: of images, texels of a side that become
-    one. folder: for temporary files. Returns what that loses: of images by names, and how far the surfaces before and
-    after are from each other."""
+    """Writes a GLB file as another one. images: "jpeg" makes JPEG files of colours, occlusion, roughness and metal
+    (quality 90), "all-jpeg" also of normals (quality 95). geometry: "meshopt" or "draco". factor: of images, texels
+    of a side that become one. folder: for temporary files. Returns what that loses: of images by names, and how far
+    the surfaces before and after are from each other."""
     glb = Glb(source)
     out = _Writer(copy.deepcopy(glb.head))
     lost = _pack_images(glb, out, folder, images, factor, {**job, "progress": progress})
