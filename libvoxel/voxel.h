@@ -251,6 +251,15 @@ struct vox_distances {
     double where[3]; /**< A point that is as far, to 1 %. */
 };
 
+/** A box of space, whose sides may be infinite, and how far a mesh is from a scan in it. */
+struct vox_measured_box {
+    double low[3], high[3]; /**< In the scan's units. */
+    double from_scan; /**< No point of a triangle of the scan that touches the box is farther from
+                         the mesh; 0: there is none. */
+    double from_mesh; /**< No point of a triangle of the mesh that touches the box is farther from
+                         the scan; 0: there is none. */
+};
+
 /** A mesh that vox_simplify() wrote. */
 struct vox_simplified {
     uint64_t target;                /**< Triangles that were asked for; 0: an error. */
@@ -280,6 +289,7 @@ struct vox_simplify_options {
     uint64_t min_triangles;
     double hard_angle;   /**< Normals are smooth over edges up to that many degrees. */
     bool keep_materials; /**< Triangles of different materials stay apart, and keep these. */
+    bool unmeasured;     /**< Distances are not measured: they are 0. Not for an error. */
 };
 
 /** What vox_simplify() did. */
@@ -322,9 +332,11 @@ int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options
 /** Measures how far any mesh is from a scan, as vox_simplify() measures its own. The mesh is held
  * in memory. scan: NULL, or the chunk file to read instead of scan_path. mesh: of vox_sort().
  * from_scan receives the distances of the scan from the mesh, from_mesh those of the mesh from the
- * scan. Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_ENOMEM, BSQ_EIO, BSQ_EINTR. */
+ * scan. boxes: NULL if box_count is 0; those of each box are set. Errors: BSQ_ENOINPUT, BSQ_EDATA,
+ * BSQ_ENOMEM, BSQ_EIO, BSQ_EINTR. */
 int vox_measure_mesh(struct bsq_ctx *ctx, const char *scan_path, const struct vox_temp_tris *scan,
-                     const struct vox_temp_tris *mesh, struct vox_distances *from_scan,
+                     const struct vox_temp_tris *mesh, struct vox_measured_box *boxes,
+                     uint32_t box_count, struct vox_distances *from_scan,
                      struct vox_distances *from_mesh);
 
 #ifdef __cplusplus

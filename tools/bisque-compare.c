@@ -256,7 +256,7 @@ static int compare_tool_measure(struct cli *cli, const struct arguments *argumen
     const struct vox_join_options how = {.output_path = inputs[0],
                                          .scan_normals = BSQ_SCAN_NORMALS_FLAT};
     BSQ_TRY(cli_join(cli, inputs + 1, count - 1, &how, &scan));
-    status = vox_measure_mesh(cli->ctx, inputs[1], scan, mesh, from_scan, from_mesh);
+    status = vox_measure_mesh(cli->ctx, inputs[1], scan, mesh, NULL, 0, from_scan, from_mesh);
 done:
     vox_temp_tris_close(scan);
     vox_temp_tris_close(mesh);

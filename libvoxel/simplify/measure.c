@@ -29,13 +29,6 @@ struct measure_slot {
     struct vox_bound bound;
 };
 
-/* What is known of the vertices of a chunk. */
-struct chunk_vertices {
-    double *squares, *weights;
-    uint32_t *closest;
-    uint64_t *blocks;
-};
-
 /* ---- sums ---- */
 
 static void add_sums(struct vox_sums *sums, const struct vox_sums *other)
@@ -157,11 +150,10 @@ static double measure_inside(const struct vox_measuring *m, const float *const c
     return 1 - inner;
 }
 
-/* Bounds a triangle of a chunk by the triangles that are closest to its corners. No point is
- * farther from the next corner than the longest edge over the square root of 3. */
-static double bound_by_corners(const struct vox_measuring *m, const float *const corners[3],
-                               const uint32_t *triangle, const struct chunk_vertices *of,
-                               double allowed)
+/* No point is farther from the next corner than the longest edge over the square root of 3. */
+double vox_bound_by_corners(const struct vox_measuring *m, const float *const corners[3],
+                            const uint32_t *triangle, const struct vox_chunk_vertices *of,
+                            double allowed)
 {
     double squares[3], most = 0, bound;
     for (int k = 0; k < 3; k++) {
@@ -201,7 +193,7 @@ static void mark_closest(const struct vox_measuring *m, const float *const corne
 }
 
 static int measure_triangles(const struct vox_measuring *m, const struct fmt_tris_chunk *chunk,
-                             const struct chunk_vertices *of, struct measure_slot *slot)
+                             const struct vox_chunk_vertices *of, struct measure_slot *slot)
 {
     const float(*positions)[3] = chunk->positions;
     const double fine = m->reach * m->reach / FINE_SHARE;
@@ -216,7 +208,7 @@ static int measure_triangles(const struct vox_measuring *m, const struct fmt_tri
             share = measure_inside(m, corners, area, slot);
         for (int k = 0; k < 3; k++)
             of->weights[v[k]] += share * area / 3;
-        const double bound = bound_by_corners(m, corners, v, of, allowed);
+        const double bound = vox_bound_by_corners(m, corners, v, of, allowed);
         if (bound <= allowed) {
             b->high = bound > b->high ? bound : b->high;
             continue;
@@ -235,7 +227,7 @@ static int measure_triangles(const struct vox_measuring *m, const struct fmt_tri
 }
 
 static int measure_vertices(const struct vox_measuring *m, const struct fmt_tris_chunk *chunk,
-                            const struct chunk_vertices *of, struct vox_bound *bound)
+                            const struct vox_chunk_vertices *of, struct vox_bound *bound)
 {
     uint32_t last = UINT32_MAX, farthest = 0;
     for (uint32_t v = 0; v < chunk->vertex_count;) {
@@ -269,7 +261,7 @@ static int measure_chunk(void *arg, void *slot_, uint64_t sequence, unsigned wor
 {
     const struct vox_measuring *m = arg;
     struct measure_slot *slot = slot_;
-    struct chunk_vertices of = {0};
+    struct vox_chunk_vertices of = {0};
     struct fmt_tris_chunk chunk;
     void *scratch = NULL;
     int status = 0;
@@ -282,6 +274,7 @@ static int measure_chunk(void *arg, void *slot_, uint64_t sequence, unsigned wor
     BSQ_TRY(BSQ_ALLOC(m->ctx, "numbers of blocks", count, &of.blocks));
     BSQ_TRY(measure_vertices(m, &chunk, &of, &slot->bound));
     BSQ_TRY(measure_triangles(m, &chunk, &of, slot));
+    BSQ_TRY(vox_boxes_add_chunk(m, sequence, &chunk, &of));
     for (uint32_t v = 0; v < count; v++)
         vox_add_distance(&slot->sums, of.squares[v], of.weights[v]);
     vox_cover_add(&m->cover, &chunk, of.blocks);
@@ -356,8 +349,8 @@ static void measure_sizes(struct vox_measuring *m)
 }
 
 int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_mesh *mesh,
-                struct vox_marks *marks, struct vox_distances *scan_to_mesh,
-                struct vox_distances *mesh_to_scan)
+                struct vox_marks *marks, struct vox_measured_box *boxes, uint32_t box_count,
+                struct vox_distances *scan_to_mesh, struct vox_distances *mesh_to_scan)
 {
     struct vox_measuring m = {.ctx = ctx, .file = file, .mesh = mesh};
     const uint32_t count = mesh->triangle_count;
@@ -367,6 +360,7 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
         m.limit = marks->limit;
         m.marks = marks->triangles;
     }
+    BSQ_TRY(vox_boxes_begin(&m, boxes, box_count));
     BSQ_TRY(BSQ_CALLOC(ctx, "distances", 1, &m.from_scan));
     BSQ_TRY(BSQ_CALLOC(ctx, "distances", 1, &m.from_mesh));
     BSQ_TRY(BSQ_ALLOC(ctx, "bounds", count, &m.bounds));
@@ -381,7 +375,9 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
     BSQ_TRY(vox_resolve_bounds(&m));
     summarize(&m, m.from_scan, &m.scan, scan_to_mesh);
     summarize(&m, m.from_mesh, &m.low, mesh_to_scan);
+    vox_boxes_end(&m);
 done:
+    bsq_free(ctx, (void *)m.boxes.most);
     vox_cover_free(ctx, &m.cover);
     vox_closest_free(ctx, &m.tree);
     BSQ_FREE(ctx, m.bounds, m.from_mesh, m.from_scan);

@@ -19,6 +19,22 @@ struct vox_sums {
     double bins[VOX_BINS];           /* weights by square */
 };
 
+/* What is known of the vertices of a chunk. */
+struct vox_chunk_vertices {
+    double *squares, *weights;
+    uint32_t *closest; /* triangles of the mesh */
+    uint64_t *blocks;
+};
+
+/* Boxes of space with distances of their own. */
+struct vox_boxes {
+    struct vox_measured_box *list; /* the caller's */
+    uint32_t count;
+    const double *origin;   /* of the scan */
+    double slack;           /* for rounded coordinates */
+    _Atomic uint64_t *most; /* bits of the largest distance of the scan in each box */
+};
+
 struct vox_measuring {
     struct bsq_ctx *ctx;
     const struct fmt_tris_file *file;
@@ -33,6 +49,7 @@ struct vox_measuring {
     double *bounds; /* of triangles of the mesh; INFINITY: not known */
     struct vox_sums *from_scan, *from_mesh;
     struct vox_bound scan, low; /* of the scan's points, and the mesh's */
+    struct vox_boxes boxes;
 };
 
 /* Loads a chunk. The caller frees *scratch, on failure too. */
@@ -70,6 +87,22 @@ static inline void vox_add_distance(struct vox_sums *sums, double square, double
     sums->square += weight * square;
     sums->bins[bin < 0 ? 0 : bin >= VOX_BINS ? VOX_BINS - 1 : bin] += weight;
 }
+
+/* Bounds a triangle of a chunk by the triangles that are closest to its corners; what is not above
+ * `allowed` is not refined. */
+double vox_bound_by_corners(const struct vox_measuring *m, const float *const corners[3],
+                            const uint32_t *triangle, const struct vox_chunk_vertices *of,
+                            double allowed);
+
+/* boxes.c: prepares the distances of boxes, which stay the caller's; the caller frees
+ * m->boxes.most. Errors: BSQ_ENOMEM. */
+int vox_boxes_begin(struct vox_measuring *m, struct vox_measured_box *list, uint32_t count);
+/* Raises the distances of boxes by the triangles of a chunk that touch them. Thread-safe; the order
+ * of chunks does not matter. Errors: BSQ_ENOMEM, BSQ_EINTR. */
+int vox_boxes_add_chunk(const struct vox_measuring *m, uint64_t index,
+                        const struct fmt_tris_chunk *chunk, const struct vox_chunk_vertices *of);
+/* Sets the distances of all boxes, those of the mesh by m->bounds. */
+void vox_boxes_end(struct vox_measuring *m);
 
 /* samples.c: measures the distances of points spread over the mesh, and of its vertices, from the
  * scan. Sets m->from_mesh, and m->low to the largest one; lowers m->bounds by them. */

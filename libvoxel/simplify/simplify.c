@@ -127,7 +127,10 @@ static int measure(struct simplifying *s, const struct vox_mesh *mesh, struct vo
     const double start = bsq_seconds_now();
     out->triangles = mesh->triangle_count;
     out->vertices = mesh->vertex_count;
-    int status = vox_measure(s->ctx, s->file, mesh, NULL, &out->from_scan, &out->from_mesh);
+    if (s->options->unmeasured)
+        return 0;
+    int status =
+        vox_measure(s->ctx, s->file, mesh, NULL, NULL, 0, &out->from_scan, &out->from_mesh);
     s->report->seconds_measure += bsq_seconds_now() - start;
     return status;
 }
@@ -159,7 +162,7 @@ static int mark_triangles(struct simplifying *s, const struct vox_mesh *mesh,
     const double start = bsq_seconds_now();
     struct vox_distances ignored[2];
     BSQ_PASS(BSQ_CALLOC(s->ctx, "marks of triangles", mesh->triangle_count, &marks->triangles));
-    BSQ_PASS(vox_measure(s->ctx, s->file, mesh, marks, &ignored[0], &ignored[1]));
+    BSQ_PASS(vox_measure(s->ctx, s->file, mesh, marks, NULL, 0, &ignored[0], &ignored[1]));
     *count = 0;
     for (uint32_t t = 0; t < mesh->triangle_count; t++)
         *count += marks->triangles[t];
@@ -261,6 +264,8 @@ static int check_options(struct bsq_ctx *ctx, const struct vox_simplify_options 
             return bsq_fail(ctx, BSQ_EUSAGE,
                             "numbers of triangles must fall, and be at least 4: %" PRIu64,
                             options->targets[i]);
+    if (options->unmeasured && options->target_count == 0)
+        return bsq_fail(ctx, BSQ_EUSAGE, "an error is kept by measuring");
     for (uint32_t i = 0; i < outputs; i++) {
         const char *path = options->output_paths[i];
         if (!fmt_low_mesh_path_is_known(path))
@@ -365,7 +370,8 @@ static void move_mesh(struct vox_mesh *mesh, const double from[3], const double 
 }
 
 int vox_measure_mesh(struct bsq_ctx *ctx, const char *scan_path, const struct vox_temp_tris *scan,
-                     const struct vox_temp_tris *mesh, struct vox_distances *from_scan,
+                     const struct vox_temp_tris *mesh, struct vox_measured_box *boxes,
+                     uint32_t box_count, struct vox_distances *from_scan,
                      struct vox_distances *from_mesh)
 {
     struct fmt_tris_file *file = NULL, *low = NULL;
@@ -376,7 +382,7 @@ int vox_measure_mesh(struct bsq_ctx *ctx, const char *scan_path, const struct vo
     BSQ_TRY(fmt_tris_open_temp(ctx, &mesh->file, &low));
     BSQ_TRY(vox_reduce_chunks(ctx, low, UINT64_MAX, NULL, false, &whole));
     move_mesh(&whole, fmt_tris_get_header(low)->origin, fmt_tris_get_header(file)->origin);
-    status = vox_measure(ctx, file, &whole, NULL, from_scan, from_mesh);
+    status = vox_measure(ctx, file, &whole, NULL, boxes, box_count, from_scan, from_mesh);
 done:
     vox_mesh_free(ctx, &whole);
     fmt_tris_close(low);

@@ -64,6 +64,14 @@ demo-asset: $(venv)/installed $(generator)
 	$(venv)/bin/bisque-asset $(demo_dir)/vase.obj -o $(demo_dir)/vase.glb
 	@echo "Open $(demo_dir)/vase.glb; its picture: $(demo_dir)/vase_asset/preview.png"
 
+.PHONY: demo-tiles
+## demo-tiles: generate a scan of 10 million triangles and make 3D Tiles of it
+demo-tiles: $(venv)/installed $(generator)
+	@mkdir -p $(demo_dir)
+	$(generator) --triangles 10000000 --colors vase -o $(demo_dir)/large.ply
+	$(venv)/bin/bisque-asset $(demo_dir)/large.ply -o $(demo_dir)/tiles --tiles
+	@echo "Serve $(demo_dir)/tiles, and open tileset.json with a viewer of 3D Tiles"
+
 .PHONY: bench-asset
 ## bench-asset: compare bisque-asset with Blender, CGAL, xatlas and Cycles; BPY=PYTHON with bpy, embreex, trimesh, xatlas and pillow; SCANS='a.obj b.obj:b.png' (default: generated)
 bench-asset: $(venv)/installed $(generator) $(BUILD)/simplify_cgal

@@ -15,8 +15,9 @@ libraries; `asset()` and the program `bisque-asset` put the steps together.
 from .asset import PRESETS, asset
 from .core import Error, Maps, bake, compare, measure, simplify, sort, version, voxelize
 from .mesh import Mesh
+from .tiles import tiles
 from .uv import UnwrapError, check_uvs, unwrap
 
 __version__ = version()
 __all__ = ["Error", "Maps", "Mesh", "PRESETS", "UnwrapError", "asset", "bake", "check_uvs",
-           "compare", "measure", "simplify", "sort", "unwrap", "version", "voxelize"]
+           "compare", "measure", "simplify", "sort", "tiles", "unwrap", "version", "voxelize"]

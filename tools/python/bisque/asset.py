@@ -222,7 +222,7 @@ LOSSES = ("degenerate_triangles", "short_faces", "broken_faces", "lost_corners",
 REMOVED = {"pieces": "dropped_pieces", "triangles": "dropped_triangles", "handles": "cut_handles"}
 
 
-def _lost(report: dict) -> dict:
+def lost_of(report: dict) -> dict:
     """Returns what of the scan the asset does not have."""
     return {key: report[key] for key in LOSSES if report[key]}
 
@@ -287,7 +287,7 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
         if elsewhere:
             kept = Folder(Path(keep))
         steps = Steps(kept, progress, len(chosen))
-        chunks, about = _sorted(steps, scan, paths, texture, job)
+        chunks, about = sorted_scan(steps, scan, paths, texture, job)
         level["maps"] = materials.choose_maps(maps, PRESETS[preset]["maps"], about)
         level["has_normals"] = about["normals"]
         levels = [_bake_level(steps, chunks, about, _low_of(steps, chunks, low, one, job), one, job)
@@ -298,7 +298,7 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
                    "library": library, **placing, **packing, **given_low, "error": error, "memory": memory,
                    "threads": threads}
         certificate = _certificate(steps, paths, about, options, levels)
-        _publish(certificate, made, output, private.path / PUBLISHED, steps, not keep)
+        publish(certificate, made, output, private.path / PUBLISHED, steps, not keep)
         done = True
         return certificate
     finally:
@@ -323,12 +323,12 @@ def _certificate(steps: Steps, paths: list[str], about: dict, options: dict, lev
             "created": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             "scan": [{"path": path, "bytes": os.path.getsize(path), "sha256": steps.hold(path)}
                      for path in paths] or "arrays in memory",
-            "scan_triangles": about["triangles"], "lost": _lost(about), "warnings": steps.warnings_of(None),
-            "options": options, "versions": _versions(options["library"]), "levels": levels,
+            "scan_triangles": about["triangles"], "lost": lost_of(about), "warnings": steps.warnings_of(None),
+            "options": options, "versions": versions(options["library"]), "levels": levels,
             "seconds": steps.seconds}
 
 
-def _sorted(steps: Steps, scan: Any, paths: list[str], texture: Any, job: dict) -> tuple[str, dict]:
+def sorted_scan(steps: Steps, scan: Any, paths: list[str], texture: Any, job: dict) -> tuple[str, dict]:
     """Returns the chunk file of a scan and what is known of it."""
     for path in paths:
         steps.hold(path)
@@ -346,15 +346,22 @@ def _sorted(steps: Steps, scan: Any, paths: list[str], texture: Any, job: dict) 
         scan, chunks, texture=texture, channels="all", progress=steps.report, **job), **materials.describe(chunks)})
 
 
+def check_library(library: str) -> None:
+    """Refuses a library that is not known, or not installed."""
+    if library not in uv.LIBRARIES:
+        raise ValueError(f"library: {library!r} is none of {', '.join(uv.LIBRARIES)}")
+    if not importlib.util.find_spec(library):
+        raise Error(69, f"{library} is not installed: pip install {library}")
+
+
 def _check_options(output: Path, preset: str, samples: int, surface: str, library: str,
                    seconds: float) -> list[tuple[int, int]]:
     """Refuses values that make no sense, by ValueError. Returns the levels of the preset."""
-    for name, value, words in (("preset", preset, PRESETS), ("library", library, uv.LIBRARIES),
+    for name, value, words in (("preset", preset, PRESETS),
                                ("surface", surface, ("auto", "grid", "exact"))):
         if value not in words:
             raise ValueError(f"{name}: {value!r} is none of {', '.join(words)}")
-    if not importlib.util.find_spec(library):
-        raise Error(69, f"{library} is not installed: pip install {library}")
+    check_library(library)
     if output.suffix.lower() != ".glb":
         raise ValueError(f"{output}: its name must end in .glb")
     core.check_number("samples", samples, 1, 2 ** 16)
@@ -390,7 +397,7 @@ def _copy_of(path: Path) -> Path:
     return path.with_name(f".{path.name}.new")
 
 
-def _older_files(made: Path, output: Path, note: Path) -> set[tuple[str, str]]:
+def older_files(made: Path, output: Path, note: Path, paper: str) -> set[tuple[str, str]]:
     """Returns the files of the asset that is there, by its certificate, and those of one that was
     interrupted, whose copies go: names from `made`, and checksums."""
     found = set()
@@ -401,7 +408,7 @@ def _older_files(made: Path, output: Path, note: Path) -> set[tuple[str, str]]:
     except (OSError, ValueError, TypeError):
         pass  # there is none
     try:
-        levels = json.loads((made / "asset.json").read_text())["levels"]
+        levels = json.loads((made / paper).read_text())["levels"]
         for level in levels:
             own = made / os.path.basename(level["name"]) if len(levels) > 1 else made
             for name, checksum in level["files"].items():
@@ -421,10 +428,11 @@ def _sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def _publish(certificate: dict, made: Path, output: Path, note: Path, steps: Steps, move: bool) -> None:
+def publish(certificate: dict, made: Path, output: Path, note: Path, steps: Steps, move: bool,
+            paper_name: str = "asset.json") -> None:
     """Gives all files of an asset their names: copies first, then the names, the certificate last.
     Files of an older asset that this one has not go; `note` tells of them if this is interrupted.
-    move: the private folder needs its files no more."""
+    move: the private folder needs its files no more. paper_name: of the certificate."""
     pairs = {target: source for level in certificate["levels"] for target, source in level["files"].items()}
     for target in pairs:
         if target.exists() and any(os.path.exists(p) and os.path.samefile(p, target) for p in steps.seen):
@@ -432,7 +440,7 @@ def _publish(certificate: dict, made: Path, output: Path, note: Path, steps: Ste
     sums = {target: sha256(source)[0] for target, source in pairs.items()}
     for level in certificate["levels"]:
         level["files"] = {target.name: sums[target] for target in level["files"]}
-    older, paper = _older_files(made, output, note), made / "asset.json"
+    older, paper = older_files(made, output, note, paper_name), made / paper_name
     own = {os.path.relpath(target, made): checksum for target, checksum in sums.items()}
     names = {target: Path(os.path.realpath(target)) for target in [*pairs, paper]}
     copies = {target: _copy_of(target) for target in names}
@@ -472,6 +480,6 @@ def _publish(certificate: dict, made: Path, output: Path, note: Path, steps: Ste
             copy.unlink(missing_ok=True)
 
 
-def _versions(library: str) -> dict:
+def versions(library: str) -> dict:
     return {"bisque": core.version(), "numpy": np.__version__, library: metadata.version(library),
             "python": sys.version.split()[0]}

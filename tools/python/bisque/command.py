@@ -20,6 +20,7 @@ from .asset import PRESETS, asset
 from .core import Error
 from .glb import GEOMETRIES, IMAGES
 from .steps import FAILED_IO
+from .tiles import tiles
 
 
 def _printable(text: Any) -> str:
@@ -93,11 +94,15 @@ def _parser() -> argparse.ArgumentParser:
                      description="Makes a GLB file with baked maps of a scan of any size.")
     parser.add_argument("scan", nargs="+", help="mesh files, read as one scan, or a .tris file")
     parser.add_argument("-o", "--output", required=True, metavar="FILE.glb",
-                        help="the asset; its other files are beside it")
+                        help="the asset; its other files are beside it; with --tiles a folder")
+    parser.add_argument("--tiles", action="store_true", help="make 3D Tiles: the whole scan, to be streamed")
+    parser.add_argument("--tile-triangles", type=int, default=10_000, metavar="N", help="most triangles of a tile")
+    parser.add_argument("--place", metavar="LON,LAT,HEIGHT", help="where tiles lie on the earth: degrees, and metres")
     parser.add_argument("--preset", choices=PRESETS, default="web")
     parser.add_argument("--low", metavar="FILE.obj", help="a low-poly mesh to use")
     parser.add_argument("--texture", metavar="FILE", help="the scan's image, if it names none")
-    parser.add_argument("--triangles", metavar="N", help="of the low-poly mesh, or 10%% of the scan's")
+    parser.add_argument("--triangles", metavar="N", help="of the low-poly mesh (or of all finest tiles), or 10%% of "
+                        "the scan's")
     parser.add_argument("--error", metavar="D", help="instead: the smallest mesh that is nowhere farther from the "
                         "scan; 0.2mm, 0.1%% of the scan's diagonal, or in its units")
     parser.add_argument("--size", metavar="N", help="texels of a side of the maps, such as 2048 or 4k")
@@ -133,15 +138,25 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _print(a: argparse.Namespace, certificate: dict) -> None:
-    """Prints what was made. Raises OSError."""
-    lines = [json.dumps(certificate, default=float)] if a.json else [
+def _lines_of(a: argparse.Namespace, certificate: dict) -> list[str]:
+    """Returns what was made in words."""
+    if a.tiles:
+        return [f"{_printable(a.output)}: {len(certificate['tiles'])} tiles"] + [
+            f"level {i}: {mesh['triangles']} triangles in {mesh['tiles']} tiles; farthest from the scan "
+            f"{mesh['from_scan']['max']:.4g}" for i, mesh in enumerate(certificate["meshes"])]
+    lines = [
         f"{_printable(a.output)}: {level['triangles']} triangles, {level['size']} x {level['size']} texels, "
         f"{level['surface']['method']}; farthest from the scan {level['distance']['from_scan']['max']:.4g}" +
         (f"; normals off by {level['normal_error']['mean']:.3g} degrees on average" if "normal_error" in level else "")
         for level in certificate["levels"]]
-    if not (a.json or a.up) and certificate["levels"][0]["placement"]["preview_up"] == "z":
+    if not a.up and certificate["levels"][0]["placement"]["preview_up"] == "z":
         lines.append("the preview takes z for upwards, the GLB file y: --up z turns it, and --up y the preview")
+    return lines
+
+
+def _print(a: argparse.Namespace, certificate: dict) -> None:
+    """Prints what was made. Raises OSError."""
+    lines = [json.dumps(certificate, default=float)] if a.json else _lines_of(a, certificate)
     if not sys.stdout:
         raise OSError(errno.EBADF, os.strerror(errno.EBADF), "standard output")
     try:
@@ -153,16 +168,40 @@ def _print(a: argparse.Namespace, certificate: dict) -> None:
         raise OSError(error.errno, error.strerror, "standard output") from None
 
 
+#: Options that are of tiles only, and of single assets only.
+OF_TILES = ("tile_triangles", "place")
+NOT_OF_TILES = ("preset", "low", "error", "surface", "close_holes", "hard_angle", "winding", "images", "geometry",
+                "report", "keep")
+
+
+def _refuse_others(a: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
+    """Refuses options that what is made does not have."""
+    for name in NOT_OF_TILES if a.tiles else OF_TILES:
+        if getattr(a, name) != parser.get_default(name):
+            raise ValueError(f"--{name.replace('_', '-')}: {'not' if a.tiles else 'only'} with --tiles")
+
+
+def _make_tiles(a: argparse.Namespace, screen: _Screen) -> dict:
+    more = {"size": a.size} if a.size is not None else {}
+    more |= {"maps": a.maps.split(",")} if a.maps else {}
+    return tiles(a.scan if len(a.scan) > 1 else a.scan[0], a.output, tile_triangles=a.tile_triangles,
+                 triangles=a.triangles, samples=a.samples, library=a.unwrap, unwrap_seconds=a.unwrap_seconds,
+                 min_component=a.min_component, min_triangles=a.min_triangles, up=a.up, units=a.units, scale=a.scale,
+                 texture=a.texture, place=a.place.split(",") if a.place else None, memory=a.memory, threads=a.threads,
+                 progress=screen.progress, **more)
+
+
 def _make(arguments: list[str], screen: _Screen) -> None:
     # -z after --up is no option.
     joined = re.sub(r"(?<=\0--up)\0(?=-[xyz]\0)", "=", "\0".join(["", *arguments, ""])).split("\0")[1:-1]
     parser = _parser()
     parser.refuse_unknown(joined)
     a = parser.parse_args(joined)
+    _refuse_others(a, parser)
     screen.kind = a.progress
     if a.progress == "auto":
         screen.kind = "bar" if sys.stderr and sys.stderr.isatty() else "none"
-    certificate = asset(
+    certificate = _make_tiles(a, screen) if a.tiles else asset(
         a.scan if len(a.scan) > 1 else a.scan[0], a.output, low=a.low, preset=a.preset,
         triangles=a.triangles, error=a.error, size=a.size, maps=a.maps.split(",") if a.maps else None,
         samples=a.samples, surface=a.surface, library=a.unwrap, unwrap_seconds=a.unwrap_seconds,

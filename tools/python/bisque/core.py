@@ -393,6 +393,20 @@ def _scan_size(job: Job, chunks: str) -> tuple[int, float]:
     return triangles[0], diagonal[0]
 
 
+def _simplify(job: Job, scan: Any, paths: list[str], targets: list[int], **members: Any) -> dict:
+    options = ffi.new("struct vox_simplify_options *")
+    lib.vox_simplify_defaults(options)
+    options.tris_path = job.string(_chunks(job, scan))
+    options.output_paths = job.strings(paths)
+    options.targets = job.keep(ffi.new("uint64_t[]", targets or [0]))
+    options.target_count = len(targets)
+    for name, value in members.items():
+        setattr(options, name, value)
+    report = _new_report("struct vox_simplify_report")
+    job.run(lib.vox_simplify, options, report)
+    return _plain(report)
+
+
 def simplify(scan: Any, output: str | os.PathLike | None = None, *, triangles: int | str | None = None,
              error: float | str | None = None, min_component: float | str = 0, min_triangles: int = 0,
              hard_angle: float = 180, memory: int | str | None = None, threads: int = 0, tmpdir: Any = None,
@@ -411,25 +425,17 @@ def simplify(scan: Any, output: str | os.PathLike | None = None, *, triangles: i
     component = parse_amount("min_component", str(min_component).removesuffix("%") + "%")[0]
     with Job(memory, threads, tmpdir, progress) as job:
         path = os.fspath(output) if output else job.temporary("low.ply")
-        options = ffi.new("struct vox_simplify_options *")
-        lib.vox_simplify_defaults(options)
         chunks = _chunks(job, scan)
         if isinstance(target, str) or of_diagonal:
             of, diagonal = _scan_size(job, chunks)
             least *= diagonal / 100 if of_diagonal else 1
             if isinstance(target, str):
                 target = max(4, round(parse_amount("triangles", target)[0] / 100 * of))
-        options.tris_path = job.string(chunks)
-        options.output_paths = job.strings([path])
-        options.targets = job.keep(ffi.new("uint64_t[]", [target]))
-        options.target_count = triangles is not None
-        options.error = least
-        options.min_component, options.hard_angle = component / 100, hard_angle
-        options.min_triangles = check_number("min_triangles", min_triangles, 0, 2 ** 63)
-        report = _new_report("struct vox_simplify_report")
-        job.run(lib.vox_simplify, options, report)
+        report = _simplify(job, chunks, [path], [target] if triangles is not None else [], error=least,
+                           min_component=component / 100, hard_angle=hard_angle,
+                           min_triangles=check_number("min_triangles", min_triangles, 0, 2 ** 63))
         mesh = read_mesh(path)
-        mesh.report = _plain(report)
+        mesh.report = report
         mesh.report.update(mesh.report.pop("levels")[0])
         if 0 < target < mesh.report["triangles"]:
             job.warnings.append(f"{mesh.report['triangles']} triangles instead of {target}: each edge that is left "
@@ -437,21 +443,41 @@ def simplify(scan: Any, output: str | os.PathLike | None = None, *, triangles: i
         return mesh
 
 
-def measure(low: Any, scan: Any, *, memory: int | str | None = None, threads: int = 0,
+def simplify_levels(scan: Any, outputs: Sequence[str | os.PathLike], triangles: Sequence[int], *,
+                    min_component: float | str = 0, min_triangles: int = 0,
+                    memory: int | str | None = None, threads: int = 0, tmpdir: Any = None,
+                    progress: Progress | None = None) -> dict:
+    """Makes several low-poly meshes, each of the one before, with falling numbers of triangles, as
+    .obj or .ply files. Does not measure them. Returns the report. Raises Error, ValueError."""
+    component = parse_amount("min_component", str(min_component).removesuffix("%") + "%")[0]
+    with Job(memory, threads, tmpdir, progress) as job:
+        return _simplify(job, scan, list(map(os.fspath, outputs)), list(triangles), min_component=component / 100,
+                         min_triangles=check_number("min_triangles", min_triangles, 0, 2 ** 63), unmeasured=True)
+
+
+def measure(low: Any, scan: Any, *, boxes: Any = None, memory: int | str | None = None, threads: int = 0,
             tmpdir: Any = None, progress: Progress | None = None) -> dict:
     """Measures how far a mesh is from a scan: from_scan, from all of the scan to the mesh,
-    and from_mesh, the other way. Raises Error."""
+    and from_mesh, the other way. boxes: rows of six numbers, the low and the high corner of boxes of
+    space; "boxes" then has two numbers for each: no triangle of the scan that touches it is farther
+    from the mesh, and no such triangle of the mesh is farther from the scan. Raises Error."""
     with Job(memory, threads, tmpdir, progress) as job:
         chunks = _chunks(job, scan)
         mesh = ffi.new("struct vox_temp_tris **")
+        rows = np.asarray([] if boxes is None else boxes, float).reshape(-1, 6).tolist()
+        found = ffi.new("struct vox_measured_box[]", [{"low": row[:3], "high": row[3:]} for row in rows])
         from_scan, from_mesh = (ffi.new("struct vox_distances *") for _ in range(2))
         job.run(lib.vox_temp_tris_create, mesh)
         try:
             _sort(job, low, job.temporary("mesh.tris"), scan_normals="flat", temporary=mesh[0])
-            job.run(lib.vox_measure_mesh, job.string(chunks), ffi.NULL, mesh[0], from_scan, from_mesh)
+            job.run(lib.vox_measure_mesh, job.string(chunks), ffi.NULL, mesh[0], found, len(rows),
+                    from_scan, from_mesh)
         finally:
             lib.vox_temp_tris_close(mesh[0])
-        return {"from_scan": _plain(from_scan), "from_mesh": _plain(from_mesh)}
+        result = {"from_scan": _plain(from_scan), "from_mesh": _plain(from_mesh)}
+        if boxes is not None:
+            result["boxes"] = [(box.from_scan, box.from_mesh) for box in found]
+        return result
 
 
 # ---- baking ----

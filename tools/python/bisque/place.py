@@ -50,6 +50,11 @@ def parse_length(name: str, value: Any, unit: float) -> float | str | None:
     return float(value)
 
 
+def matrix_of(up: str | None, unit: float) -> np.ndarray:
+    """Returns the matrix that turns the axis that points upwards to +y, and multiplies by a unit."""
+    return unit * np.stack([_turn(UP[up or "y"], axis) for axis in np.eye(3)], axis=1)
+
+
 # ---- the GLB file ----
 
 def _turn(q: tuple, v: Any) -> np.ndarray:

@@ -203,14 +203,15 @@ class Steps:
         return self.content(path)
 
     def run(self, name: str, inputs: list, options: dict, outputs: list[Path],
-            work: Callable[[], Any]) -> Any:
+            work: Callable[[], Any], parts: int = 1) -> Any:
         """Returns the result of `work`, or that of an earlier run with the same version, options and
-        contents of all files read, if its outputs are there unchanged."""
+        contents of all files read, if its outputs are there unchanged. parts: of how many steps of its
+        kind this is one."""
         for path in inputs:
             self.hold(path)
         paths = [os.path.abspath(path) for path in inputs]
         key = json.dumps([core.version(), paths, options], sort_keys=True, default=str)
-        weight = WEIGHTS[name.split(" ")[0]]
+        weight = WEIGHTS[name.split(" ")[0]] / parts
         self.name, self.weight, self.stage = name, weight, ""
         start, before = time.monotonic(), self.done
         known = self.known.get(name)

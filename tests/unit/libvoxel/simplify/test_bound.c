@@ -309,9 +309,8 @@ static void search_part(struct search *s, const double p[3][3], int depth)
     search_part(s, (const double(*)[3])mids, depth - 1);
 }
 
-/* Checks what is reported of the way from one mesh to the other. */
-static void check(const struct mesh *from, const struct mesh *to, double reported, double slack,
-                  const char *what)
+/* Searches for the farthest points of one mesh from another one. */
+static struct search search_all(const struct mesh *from, const struct mesh *to, double slack)
 {
     struct search s = {.to = to, .slack = slack};
     for (unsigned t = 0; t < from->triangles; t++)
@@ -319,9 +318,49 @@ static void check(const struct mesh *from, const struct mesh *to, double reporte
             find_nearest(&s, from->corners[t][i]);
     for (unsigned t = 0; t < from->triangles; t++)
         search_part(&s, from->corners[t], DEPTH);
-    const double most = 1.011 * fmax(s.low, s.high < 1.002 * s.low ? 0 : s.high) + 2 * slack;
-    if (!(reported >= s.low * (1 - 1e-9) - slack && reported <= most))
+    return s;
+}
+
+/* Returns the most that may be reported of what a search found. */
+static double most_of(const struct search *s)
+{
+    return 1.011 * fmax(s->low, s->high < 1.002 * s->low ? 0 : s->high) + 2 * s->slack;
+}
+
+/* Checks what is reported of the way from one mesh to the other. */
+static void check(const struct mesh *from, const struct mesh *to, double reported, double slack,
+                  const char *what)
+{
+    const struct search s = search_all(from, to, slack);
+    if (!(reported >= s.low * (1 - 1e-9) - slack && reported <= most_of(&s)))
         fail_msg("%s: reported %.9g, found %.9g, bound %.9g", what, reported, s.low, s.high);
+}
+
+/* Copies the triangles that have points above a height, which is a multiple of x. */
+static const struct mesh *part_above(const struct mesh *from, double height, double sign)
+{
+    static struct mesh part;
+    part.triangles = 0;
+    for (unsigned t = 0; t < from->triangles; t++) {
+        const double(*p)[3] = (const double(*)[3])from->corners[t];
+        if (fmax(sign * p[0][0], fmax(sign * p[1][0], sign * p[2][0])) >= height)
+            memcpy(part.corners[part.triangles++], p, sizeof *part.corners);
+    }
+    return &part;
+}
+
+/* Checks what is reported of the way from the triangles that touch one side of a plane. Those that
+ * nearly touch it may count or not. */
+static void check_side(const struct mesh *from, const struct mesh *to, double plane, double sign,
+                       double reported, double slack, const char *what)
+{
+    const struct search least =
+                            search_all(part_above(from, sign * plane + 4 * slack, sign), to, slack),
+                        most =
+                            search_all(part_above(from, sign * plane - 4 * slack, sign), to, slack);
+    if (!(reported >= least.low * (1 - 1e-9) - slack && reported <= most_of(&most)))
+        fail_msg("%s, a side: reported %.9g, found %.9g, bound %.9g", what, reported, least.low,
+                 most.high);
 }
 
 static void sort_mesh(struct bsq_ctx *ctx, const char *path, const char *tris,
@@ -351,21 +390,35 @@ static void try_pair(int kind, uint64_t *seed)
     struct bsq_ctx *ctx = test_context(1 + (unsigned)(random_number(seed) * 3), 0);
     struct vox_temp_tris *temp = NULL;
     struct vox_distances there, back;
+    struct vox_measured_box boxes[] = {
+        {{-INFINITY, -INFINITY, -INFINITY}, {INFINITY, INFINITY, INFINITY}, 0, 0},
+        {{-INFINITY, -INFINITY, -INFINITY}, {INFINITY, INFINITY, INFINITY}, 0, 0}};
     char what[100];
     snprintf(what, sizeof what, "kind %d, scale %g, offset %g", kind, scale, far);
     make_pair(kind, seed, &scan, &low);
     transform(&scan, turn, (const double[3]){far, -far, far});
     transform(&low, turn, (const double[3]){far, -far, far});
+    const double(*some)[3] =
+        (const double(*)[3])scan.corners[(unsigned)(random_number(seed) * scan.triangles)];
+    const double plane = (some[0][0] + some[1][0] + some[2][0]) / 3;
+    boxes[0].high[0] = boxes[1].low[0] = plane * scale;
     write_mesh("scan.obj", &scan, scale);
     write_mesh("low.obj", &low, scale);
     sort_mesh(ctx, "scan.obj", "scan.tris", NULL);
     assert_int_equal(vox_temp_tris_create(ctx, &temp), 0);
     sort_mesh(ctx, "low.obj", "low.tris", temp);
-    assert_int_equal(vox_measure_mesh(ctx, "scan.tris", NULL, temp, &there, &back), 0);
+    assert_int_equal(vox_measure_mesh(ctx, "scan.tris", NULL, temp, boxes, 2, &there, &back), 0);
     vox_temp_tris_close(temp);
     test_context_end(ctx);
     check(&scan, &low, there.max / scale, 0x1p-21 * (far + 1), what);
     check(&low, &scan, back.max / scale, 0x1p-21 * (far + 1), what);
+    for (int i = 0; i < 2; i++) {
+        check_side(&scan, &low, plane, i ? 1 : -1, boxes[i].from_scan / scale, 0x1p-21 * (far + 1),
+                   what);
+        assert_true(boxes[i].from_mesh <= back.max);
+    }
+    assert_true(fmax(boxes[0].from_mesh, boxes[1].from_mesh) >=
+                back.max - 0x1p-21 * (far + 1) * scale);
     assert_true(there.mean <= there.rms * (1 + 1e-9) && there.rms <= there.max * (1 + 1e-9));
     assert_true(back.mean <= back.rms * (1 + 1e-9) && back.rms <= back.max * (1 + 1e-9));
 }

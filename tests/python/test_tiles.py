@@ -1,0 +1,413 @@
+"""3D Tiles of a sphere with waves, whose surface a formula gives: files, errors, borders and pictures."""
+import hashlib
+import io
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import bisque
+import jsonschema
+import numpy as np
+import pytest
+import referencing
+import trimesh
+from conftest import HEIGHT, RADIUS, command_of, radius_at, run_asset, sphere
+from PIL import Image
+
+SCHEMAS = Path(__file__).parent / "schema-3d-tiles"
+LIMIT, SIZE = 300, 128
+OPTIONS = {"tile_triangles": LIMIT, "triangles": 4000, "size": SIZE, "samples": 1}
+WORDS = ["--tiles", "--tile-triangles", LIMIT, "--triangles", 4000, "--size", SIZE, "--samples", 1]
+
+
+def color_at(direction):
+    """Returns the colour of a direction, as linear functions that no texel can hide a seam in."""
+    return np.clip(127 + 100 * direction, 0, 255)
+
+
+def coloured():
+    points, faces = sphere(60, True)
+    colors = color_at(points / np.linalg.norm(points, axis=1)[:, None]).round().astype(np.uint8)
+    return bisque.Mesh(points, faces, colors=colors)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tiles") / "out"
+    certificate = bisque.tiles(coloured(), folder, **OPTIONS)
+    return folder, certificate, json.loads((folder / "tileset.json").read_text())
+
+
+def nodes_of(node, parent=None):
+    yield node, parent
+    for child in node.get("children", ()):
+        yield from nodes_of(child, node)
+
+
+def read_tile(folder, tile):
+    """Reads a tile with a reader of its own. Returns positions, normals, tangents, texture coordinates, triangles
+    without those of its skirt, all triangles, and its images."""
+    data = (folder / tile["file"]).read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    head, body = json.loads(data[20:20 + length]), data[28 + length:]
+
+    def view(number):
+        where = head["bufferViews"][number]
+        return body[where["byteOffset"]:where["byteOffset"] + where["byteLength"]]
+
+    rows = np.frombuffer(view(0), "<f4").reshape(-1, 12)
+    faces = np.frombuffer(view(1), "<u4").reshape(-1, 3).astype(int)
+    images = [np.asarray(Image.open(io.BytesIO(view(image["bufferView"]))).convert("RGB"), float)
+              for image in head["images"]]
+    return {"p": rows[:, :3].astype(float), "n": rows[:, 3:6].astype(float), "t": rows[:, 6:10].astype(float),
+            "uv": rows[:, 10:].astype(float), "faces": faces[:tile["triangles"]], "all": faces, "images": images}
+
+
+@pytest.fixture(scope="module")
+def read(made):
+    folder, certificate, _ = made
+    return {name: read_tile(folder, tile) for name, tile in certificate["tiles"].items()}
+
+
+def of_level(certificate, level):
+    return [name for name, tile in certificate["tiles"].items() if tile["level"] == level]
+
+
+# ---- files ----
+
+def test_tileset_is_what_the_schema_says(made):
+    _, _, tileset = made
+
+    def retrieve(uri):
+        return referencing.Resource.from_contents(json.loads((SCHEMAS / uri.removeprefix("mem:///")).read_text()))
+
+    registry = referencing.Registry(retrieve=retrieve)
+    validator = jsonschema.Draft202012Validator({"$ref": "mem:///tileset.schema.json"}, registry=registry)
+    assert list(validator.iter_errors(tileset)) == []
+    less = {key: value for key, value in tileset["root"].items() if key != "geometricError"}
+    assert list(validator.iter_errors({**tileset, "root": less})) != []
+
+
+def test_files_are_those_of_the_certificate(made):
+    folder, certificate, tileset = made
+    sums = certificate["levels"][0]["files"]
+    assert {path.name for path in folder.iterdir()} == {*sums, "tiles.json"}
+    for name, checksum in sums.items():
+        assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == checksum
+    assert {node["content"]["uri"] for node, _ in nodes_of(tileset["root"])} == {
+        tile["file"] for tile in certificate["tiles"].values()}
+    assert len(certificate["tiles"]) > 12 and certificate["tiles"]["0_1"]["file"] == tileset["root"]["content"]["uri"]
+
+
+def test_boxes_contain_content_and_errors_fall(made):
+    folder, certificate, tileset = made
+    count = 0
+    for node, parent in nodes_of(tileset["root"]):
+        mesh = trimesh.load(folder / node["content"]["uri"], force="mesh", process=False)
+        points = mesh.vertices @ [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # y-up to z-up: (x, -z, y)
+        assert parent is None or node["geometricError"] < parent["geometricError"]
+        while node is not None:  # also the boxes of all tiles above
+            box = np.array(node["boundingVolume"]["box"])
+            assert (np.abs(points - box[:3]) - [box[3], box[7], box[11]]).max() < 1e-6
+            node = next(p for n, p in nodes_of(tileset["root"]) if n is node)
+            count += 1
+    assert count > len(certificate["tiles"]) and tileset["geometricError"] > tileset["root"]["geometricError"]
+    for tile in certificate["tiles"].values():
+        assert 0 < tile["triangles"] <= LIMIT
+
+
+# ---- errors ----
+
+def distance_to_triangles(points, corners):
+    """Returns the distance of each point from the closest of some triangles (Ericson, "Real-Time Collision
+    Detection", 2005, 5.1.5), without any tree."""
+    a, b, c = (corners[:, k] for k in range(3))
+    ab, ac = b - a, c - a
+    found = np.empty(len(points))
+    for i, p in enumerate(points):
+        least = np.full(len(a), np.inf)
+        for begin, along in ((a, ab), (a, ac), (b, c - b)):
+            share = (((p - begin) * along).sum(1) / np.maximum((along ** 2).sum(1), 1e-300)).clip(0, 1)
+            least = np.minimum(least, np.linalg.norm(p - begin - share[:, None] * along, axis=1))
+        normal = np.cross(ab, ac)
+        square = (normal ** 2).sum(1)
+        w1 = (np.cross(p - a, ac) * normal).sum(1) / square
+        w2 = (np.cross(ab, p - a) * normal).sum(1) / square
+        over = (w1 >= 0) & (w2 >= 0) & (w1 + w2 <= 1)
+        height = np.abs(((p - a) * normal).sum(1)) / np.sqrt(square)
+        found[i] = min(least.min(), height[over].min(initial=np.inf))
+    return found
+
+
+def spread(rng, corners, count):
+    """Returns points in triangles, which are chosen by their areas."""
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    chosen = corners[rng.choice(len(corners), count, p=area / area.sum())]
+    u, v = rng.random((2, count, 1))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    return chosen[:, 0] * (1 - u - v) + chosen[:, 1] * u + chosen[:, 2] * v
+
+
+def region_of(tile):
+    low, high = tile["region"]
+    return (np.array([-np.inf if x is None else x for x in low]), np.array([np.inf if x is None else x for x in high]))
+
+
+def test_no_point_is_farther_than_the_errors(made, read):
+    _, certificate, _ = made
+    rng = np.random.default_rng(5)
+    scan = coloured()
+    corners = np.asarray(scan.vertices)[scan.faces]
+    points = spread(rng, corners, 150)
+    for level in range(len(certificate["meshes"])):
+        names = of_level(certificate, level)
+        tiles = np.concatenate([read[name]["p"][read[name]["faces"]] for name in names])
+        distances = distance_to_triangles(points, tiles)
+        found = np.zeros(len(points), int)
+        for name in names:
+            low, high = region_of(certificate["tiles"][name])
+            inside = ((points >= low) & (points <= high)).all(axis=1)
+            found += inside
+            assert distances[inside].max(initial=0) <= certificate["tiles"][name]["geometric_error"] + 1e-6
+            back = distance_to_triangles(spread(rng, read[name]["p"][read[name]["faces"]], 6), corners)
+            assert back.max() <= certificate["tiles"][name]["geometric_error"] + 1e-6
+        assert (found >= 1).all()  # regions leave no gap
+        # The bound is no more than it has to be: a level's error is close to what some point of it shows.
+        assert certificate["meshes"][level]["from_scan"]["max"] < 6 * distances.max() + 1e-3
+
+
+# ---- borders ----
+
+def border_of(tile):
+    """Returns the ends of the edges that only one triangle has, by positions."""
+    p = tile["p"][tile["faces"]]
+    edges = np.stack([p, np.roll(p, -1, axis=1)], axis=2).reshape(-1, 2, 3)
+    forward = {(tuple(a), tuple(b)) for a, b in edges}
+    assert len(forward) == len(edges)
+    return np.array([[a, b] for a, b in forward if (b, a) not in forward])
+
+
+def test_tiles_of_a_level_share_their_borders(made, read):
+    _, certificate, _ = made
+    for level in range(1, len(certificate["meshes"])):
+        names = of_level(certificate, level)
+        borders = {name: border_of(read[name]) for name in names}
+        normals, same, total = {}, 0, 0
+        for name in names:
+            for p, n in zip(read[name]["p"], read[name]["n"]):
+                normals.setdefault(tuple(p), []).append((name, n))
+        for name in names:
+            others = np.concatenate([borders[other] for other in names if other != name])
+            points = np.unique(borders[name][:, 0], axis=0)
+            along = others[:, 1] - others[:, 0]
+            for p in points:  # the sphere has no border of its own
+                share = (((p - others[:, 0]) * along).sum(1) / (along ** 2).sum(1)).clip(0, 1)
+                assert np.linalg.norm(p - others[:, 0] - share[:, None] * along, axis=1).min() < 1e-6
+                shared = [n for other, n in normals[tuple(p)] if other != name]
+                own = [n for other, n in normals[tuple(p)] if other == name]
+                same += bool(shared)
+                total += 1
+                for n in shared:
+                    assert (n == own[0]).all()
+        assert same > 0.9 * total  # others are where a plane ends at another one
+
+
+def look_up(image, uv):
+    """Filters an image bilinearly."""
+    height, width = image.shape[:2]
+    x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
+    i, j = np.floor(x).astype(int), np.floor(y).astype(int)
+    fx, fy = (x - i)[:, None], (y - j)[:, None]
+
+    def texel(j, i):
+        return image[j.clip(0, height - 1), i.clip(0, width - 1)]
+
+    return ((texel(j, i) * (1 - fx) + texel(j, i + 1) * fx) * (1 - fy) +
+            (texel(j + 1, i) * (1 - fx) + texel(j + 1, i + 1) * fx) * fy)
+
+
+def test_tiles_of_a_level_look_alike_at_their_borders(made, read):
+    _, certificate, _ = made
+    seen = {}
+    for name in of_level(certificate, len(certificate["meshes"]) - 1):
+        tile = read[name]
+        used = np.unique(tile["faces"])
+        color, normal = (look_up(image, tile["uv"][used]) for image in tile["images"])
+        normal = normal / 127.5 - 1
+        n, t = tile["n"][used], tile["t"][used]
+        b = np.cross(n, t[:, :3]) * t[:, 3:]
+        normal = normal[:, :1] * t[:, :3] + normal[:, 1:2] * b + normal[:, 2:] * n
+        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        for p, c, d in zip(tile["p"][used], color, normal):
+            seen.setdefault(tuple(p), {}).setdefault(name, []).append((c, d))
+    colors, cosines = [], []
+    for tiles in (list(tiles.values()) for tiles in seen.values() if len(tiles) > 1):
+        colors.append(np.abs(tiles[0][0][0] - tiles[1][0][0]).mean())
+        cosines.append(tiles[0][0][1] @ tiles[1][0][1])
+    assert len(colors) > 100
+    assert np.mean(colors) < 1  # of 255
+    assert np.degrees(np.arccos(np.clip(cosines, -1, 1))).mean() < 2
+
+
+# ---- pictures ----
+
+def covered(meshes, axes, side, skirts):
+    """Draws the front sides of tiles along an axis. Returns the pixels that show any, in a square from -1.1 to 1.1."""
+    shown = np.zeros((side, side), bool)
+    for tile in meshes:
+        p = (tile["p"] @ axes)[tile["all" if skirts else "faces"]]
+        p[:, :, :2] = (p[:, :, :2] / 1.1 + 1) * side / 2
+        e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+        area = e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]
+        for q, a, b, twice in zip(p[area > 0], e1[area > 0], e2[area > 0], area[area > 0]):
+            low, high = np.ceil(q[:, :2].min(0) - 0.5).astype(int), np.floor(q[:, :2].max(0) - 0.5).astype(int)
+            if (high < low).any():
+                continue
+            x, y = np.meshgrid(np.arange(low[0], high[0] + 1) + 0.5 - q[0, 0],
+                               np.arange(low[1], high[1] + 1) + 0.5 - q[0, 1], indexing="ij")
+            w1, w2 = (x * b[1] - y * b[0]) / twice, (a[0] * y - a[1] * x) / twice
+            shown[low[0]:high[0] + 1, low[1]:high[1] + 1] |= (w1 >= 0) & (w2 >= 0) & (w1 + w2 <= 1)
+    return shown
+
+
+def refined(node, chosen):
+    """Returns the tiles that are shown if those that are chosen show their children."""
+    if node.get("children") and chosen(node):
+        return [name for child in node["children"] for name in refined(child, chosen)]
+    return [node["content"]["uri"].removesuffix(".glb")]
+
+
+def test_no_crack_shows_between_levels(made, read):
+    _, _, tileset = made
+    rng = np.random.default_rng(7)
+    side, bare = 512, 0
+    middle = ((np.arange(side) + 0.5) * 2 / side - 1) * 1.1
+    inside = middle[:, None] ** 2 + middle ** 2 < (RADIUS - HEIGHT - 2 * tileset["root"]["geometricError"]) ** 2
+    assert inside.sum() > 0.5 * side ** 2
+    for _ in range(12):
+        axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        axes[:, 2] *= np.linalg.det(axes)
+        near = rng.normal(size=3)
+        names = refined(tileset["root"], lambda node: near @ node["boundingVolume"]["box"][:3] > -0.1 or
+                        node is tileset["root"])
+        assert len({name[0] for name in names}) > 1
+        assert covered([read[name] for name in names], axes, side, True)[inside].all()
+        bare += (~covered([read[name] for name in names], axes, side, False)[inside]).sum()
+    assert bare > 0  # without skirts there are cracks
+
+
+# ---- jobs ----
+
+def contents(folder):
+    """Returns the checksums of all files but the certificate."""
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()
+            if path.name not in ("tiles.json", "bisque-steps")}
+
+
+def test_bytes_do_not_depend_on_threads_or_interruptions(made, tmp_path):
+    folder, certificate, _ = made
+    bisque.sort(coloured(), tmp_path / "scan.tris")
+    words = command_of([tmp_path / "scan.tris", "-o", tmp_path / "out", *WORDS, "-j", 3, "--progress", "json"])
+    for stage in ("collapsing", "unwrap 1", "bake 2", "bake 3", None):
+        with subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as program:
+            for line in program.stderr:
+                if stage and stage in line:
+                    program.send_signal(signal.SIGTERM)
+                    stage = None
+                    interrupted = True
+            code = program.wait()
+        assert code in (0, 75)
+        if code == 75:
+            assert not (tmp_path / "out" / "tiles.json").exists()
+    assert code == 0 and interrupted
+    assert contents(tmp_path / "out") == contents(folder)
+    assert not (tmp_path / "out" / "bisque-steps").exists()
+
+
+def test_a_second_tileset_replaces_the_first(tmp_path):
+    scan = sphere(20, True)
+    bisque.tiles(scan, tmp_path / "out", tile_triangles=100, triangles=400, size=32)
+    before = set(contents(tmp_path / "out"))
+    certificate = bisque.tiles(scan, tmp_path / "out", tile_triangles=100, triangles=100, size=32)
+    assert set(contents(tmp_path / "out")) == {"0_1.glb", "tileset.json"} < before
+    assert certificate["options"]["maps"] == ["normal", "color"] and len(certificate["tiles"]) == 1
+
+
+def test_tiles_lie_where_they_are_placed(tmp_path):
+    points, faces = sphere(12, False)
+    folder = tmp_path / "out"
+    bisque.tiles((points, faces), folder, tile_triangles=200, triangles=200, size=32, maps="normal", place=(90, 0, 500))
+    matrix = np.array(json.loads((folder / "tileset.json").read_text())["root"]["transform"]).reshape(4, 4).T
+    # At 90 degrees east on the equator, up is y, east is -x, and north is z.
+    assert np.allclose(matrix @ [0, 0, 0, 1], [0, 6378137 + 500, 0, 1])
+    assert np.allclose(matrix[:3, :3], [[-1, 0, 0], [0, 0, 1], [0, 1, 0]])
+    bisque.tiles((points, faces), folder, tile_triangles=200, triangles=200, size=32, maps="normal", up="z", units="mm",
+                 place=(0, 0, 0))
+    matrix = np.array(json.loads((folder / "tileset.json").read_text())["root"]["transform"]).reshape(4, 4).T
+    # At zero, up is x, east is y, and north is z. Content (x, y, z) becomes (x, -z, y) before.
+    assert np.allclose(matrix @ [0, 0, 0, 1], [6378137, 0, 0, 1])
+    assert np.allclose(matrix[:3, :3] @ [0, -1, 0], [0.001, 0, 0])  # the scan's z
+    assert np.allclose(matrix[:3, :3] @ [1, 0, 0], [0, 0.001, 0])
+    assert np.allclose(matrix[:3, :3] @ [0, 0, 1], [0, 0, 0.001])  # its y is north
+    far = np.array([5e6, 100, -7e6])
+    bisque.tiles((points + far, faces), tmp_path / "far", tile_triangles=200, triangles=200, size=32, maps="normal")
+    root = json.loads((tmp_path / "far" / "tileset.json").read_text())["root"]
+    shift = np.array(root["transform"]).reshape(4, 4).T[:3, 3] + root["boundingVolume"]["box"][:3]
+    assert np.abs(shift - [far[0], -far[2], far[1]]).max() < 0.1
+    assert max(map(abs, root["boundingVolume"]["box"])) < 2
+
+
+@pytest.mark.parametrize("words, code, line", [
+    (["--place", "200,0,0"], 64, "place: 200,0,0 is no place on the earth"),
+    (["--place", "1,2"], 64, "place: longitude, latitude and height are needed"),
+    (["--tile-triangles", "99"], 64, "tile_triangles: a number from 100"),
+    (["--maps", "ao"], 64, "maps: tiles have normal and color, not ao"),
+    (["--up", "w"], 64, "up: 'w' is none of"),
+    (["--hard-angle", "30"], 64, "--hard-angle: not with --tiles"),
+    (["--preset", "game"], 64, "--preset: not with --tiles"),
+    (["--report"], 64, "--report: not with --tiles"),
+    (["--images", "jpeg"], 64, "--images: not with --tiles"),
+])
+def test_wrong_options_are_refused(tmp_path, words, code, line):
+    bisque.Mesh(*sphere(4, False)).save(tmp_path / "scan.obj")
+    done = run_asset(tmp_path / "scan.obj", "-o", tmp_path / "out", "--tiles", *words)
+    assert done.returncode == code and line in done.stderr and done.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_options_of_tiles_need_tiles(tmp_path):
+    bisque.Mesh(*sphere(4, False)).save(tmp_path / "scan.obj")
+    done = run_asset(tmp_path / "scan.obj", "-o", tmp_path / "out.glb", "--place", "1,2,3")
+    assert done.returncode == 64 and "--place: only with --tiles" in done.stderr
+
+
+def test_a_folder_of_others_is_refused(tmp_path):
+    bisque.Mesh(*sphere(4, False)).save(tmp_path / "scan.obj")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    done = run_asset(tmp_path / "scan.obj", "-o", tmp_path / "out", "--tiles")
+    assert done.returncode == 73 and "notes.txt, which is not of bisque-asset" in done.stderr
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["notes.txt"]
+    done = run_asset(tmp_path / "scan.obj", "-o", tmp_path, "--tiles")
+    assert done.returncode == 64 and "move it elsewhere" in done.stderr
+
+
+def test_a_scan_without_colours_has_no_colour_map(tmp_path):
+    certificate = bisque.tiles(sphere(12, False), tmp_path / "out", tile_triangles=200, triangles=200, size=32)
+    head = (tmp_path / "out" / "0_1.glb").read_bytes()
+    assert b"normalTexture" in head and b"baseColorTexture" not in head
+    assert len(certificate["tiles"]) == 1
+    with pytest.raises(bisque.Error, match="the scan has no colour"):
+        bisque.tiles(sphere(12, False), tmp_path / "other", maps="color")
+
+
+def test_a_coarsest_tile_above_the_limit_is_told(tmp_path, monkeypatch):
+    # As of a mesh of so many holes that no more edges can collapse.
+    monkeypatch.setattr(sys.modules["bisque.tiles"], "level_targets", lambda *_: [400])
+    line = "the coarsest tile has 400 triangles instead of 100: "
+    with pytest.warns(UserWarning, match=line):
+        certificate = bisque.tiles(sphere(12, False), tmp_path / "out", tile_triangles=100, size=32)
+    assert certificate["tiles"]["0_1"]["triangles"] == 400
+    assert [text.startswith(line) for text in certificate["warnings"]] == [True]

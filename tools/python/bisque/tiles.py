@@ -1,0 +1,377 @@
+"""From a scan to 3D Tiles 1.1: levels of a low-poly mesh, tiles that planes cut out of them, maps of each tile.
+
+A level is one mesh of the whole scan with a quarter of the triangles of the next finer one, so no border is locked
+in any of them. cut.py divides it; the maps of many tiles are baked in one sweep over the scan."""
+from __future__ import annotations
+
+import contextvars
+import hashlib
+import json
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Iterator
+
+import numpy as np
+
+from . import core, tile_glb, uv
+from .asset import PUBLISHED, check_library, lost_of, older_files, publish, sorted_scan, versions
+from .core import Error
+from .cut import Tile, add_skirt, divide, read_level
+from .glb import Glb
+from .mesh import Mesh, check_triangles, parse_amount, parse_texels
+from .place import check_options, matrix_of, unit_of
+from .steps import WEIGHTS, Folder, Steps
+
+#: A leaf with as many triangles as a tile may have stands for that many triangles of the scan.
+SCAN_OF_LEAF = 1_000_000
+#: The certificate.
+PAPER = "tiles.json"
+#: Tiles whose maps are baked in one sweep over the scan.
+BATCH = 64
+#: Triangles of a level to those of the next coarser one.
+FACTOR = 4
+
+
+# ---- steps ----
+
+def level_targets(scan_triangles: int, tile_triangles: int, finest: int | str | None) -> list[int]:
+    """Returns the triangles of each level, falling, until one tile holds them. finest: those of the first one, or a
+    percentage of the scan's, or None."""
+    count = finest or max(tile_triangles, scan_triangles * tile_triangles // SCAN_OF_LEAF)
+    if isinstance(count, str):
+        count = max(4, round(parse_amount("triangles", count)[0] / 100 * scan_triangles))
+    targets = [min(count, max(scan_triangles, 4))]
+    while targets[-1] > tile_triangles:
+        targets.append(-(-targets[-1] // FACTOR))
+    return targets
+
+
+def _widest_skirts(tile: Tile, above: tuple[float, ...] = ()) -> Iterator[tuple[str, float]]:
+    """Yields how wide the skirt of each tile may be: its error and that of the tile two levels above. No gap beside
+    a tile of these levels is wider."""
+    yield tile.name, tile.error + (above[-2:] or (tile.error,))[0]
+    for child in tile.children:
+        yield from _widest_skirts(child, (*above, tile.error))
+
+
+def _finish_tile(tile: Tile, baked: Glb, number: int, width: float, path: Path) -> dict:
+    """Writes the GLB file of a tile, primitive `number` of a baked one. Returns what is known of it."""
+    root = baked.head
+    primitive = root["meshes"][0]["primitives"][number]
+    rows, faces = tile_glb.rows_of(baked, primitive)
+    if len(faces) != len(tile.part.faces):
+        raise Error(70, f"tile {tile.name}: {len(faces)} triangles of {len(tile.part.faces)} were baked")
+    rows = rows.copy()
+    rows[faces.ravel(), :6] = tile.part.points[tile.part.faces.ravel(), :6]  # relative to the origin of all tiles
+    rows, faces = add_skirt(tile, rows, faces, width)
+    material = root["materials"][primitive["material"]]
+    images = []
+    for slot in filter(None, (material["pbrMetallicRoughness"].get("baseColorTexture"), material.get("normalTexture"))):
+        images.append(baked.image(slot))
+        slot["index"] = len(images) - 1
+    material["name"] = tile.name
+    tile_glb.write(path, f"Bisque {core.version()}", rows, faces, material, images, root.get("samplers", [None])[0])
+    return {"low": rows[:, :3].min(axis=0).tolist(), "high": rows[:, :3].max(axis=0).tolist(),
+            "skirt_triangles": len(faces) - len(tile.part.faces)}
+
+
+def _digest(tiles: list[Tile]) -> str:
+    digest = hashlib.sha256()
+    for tile in tiles:
+        digest.update(f"{tile.name} {tile.part.points.shape} {tile.part.faces.shape}".encode())
+        digest.update(tile.part.points.tobytes() + tile.part.faces.tobytes())
+    return digest.hexdigest()
+
+
+def _make_tree(steps: Steps, chunks: str, targets: list[int], limit: int, options: dict, origin: np.ndarray,
+               job: dict) -> Tile:
+    """Makes the levels, and the tree of tiles with their names."""
+    paths = [steps.folder / f"level_{count}.ply" for count in targets]
+    options = {"triangles": targets, **{key: options[key] for key in ("min_component", "min_triangles")}}
+
+    def make() -> dict:
+        report = core.simplify_levels(chunks, paths, progress=steps.report, **options, **job)
+        least = report["levels"][len(targets) - 1]["triangles"]
+        if least > limit:
+            steps.heard.warn(f"the coarsest tile has {least} triangles instead of {limit}: each edge that is left "
+                             "would close a hole or join pieces")
+        return report
+
+    steps.run("simplify", [chunks], options, paths, make)
+    root = divide([read_level(path, origin) for path in reversed(paths)], limit)
+    counts: dict[int, int] = {}
+    for tile in root.all():
+        number = counts[tile.level] = counts.get(tile.level, 0) + 1
+        tile.name = f"{tile.level}_{number}"
+    return root
+
+
+def _measure(steps: Steps, chunks: str, tiles: list[Tile], origin: np.ndarray, parts: int, job: dict) -> dict:
+    """Sets the errors of all tiles of a level. Returns the distances of the level."""
+    starts = np.cumsum([0] + [len(tile.part.points) for tile in tiles[:-1]])
+    faces = np.concatenate([tile.part.faces + start for tile, start in zip(tiles, starts)]).astype(np.int32)
+    vertices = np.concatenate([tile.part.points[:, :3] for tile in tiles]) + origin
+    boxes = [np.concatenate([tile.low + origin, tile.high + origin]).tolist() for tile in tiles]
+    found = steps.run(f"check {tiles[0].level}", [chunks], {"content": _digest(tiles), "boxes": boxes}, [],
+                      lambda: core.measure((vertices, faces), chunks, boxes=boxes, progress=steps.report, **job), parts)
+    for tile, errors in zip(tiles, found["boxes"]):
+        tile.error = max(errors)
+    return {key: found[key] for key in ("from_scan", "from_mesh")}
+
+
+def _raise_errors(tile: Tile, least: float) -> float:
+    """Makes the error of each tile larger than those of its children, as viewers want it. Returns the tile's."""
+    below = [_raise_errors(child, least) for child in tile.children]
+    if below:
+        tile.error = max(tile.error, max(below) * (1 + 1e-6) + least)
+    return tile.error
+
+
+def _write_batch(path: Path, meshes: list[Mesh], names: list[str], origin: np.ndarray) -> None:
+    """Writes meshes as one OBJ file, each with a material of its name."""
+    starts = np.zeros(3, np.int64)
+    with open(path.with_suffix(".new"), "w", encoding="ascii") as file:
+        for mesh, name in zip(meshes, names):
+            arrays = mesh.vertices + origin, mesh.uvs, mesh.normals
+            file.write(f"usemtl {name}\n")
+            for key, rows in zip(("v", "vt", "vn"), arrays):
+                line = key + " %.17g" * rows.shape[1] + "\n"
+                file.write(line * len(rows) % tuple(rows.ravel().tolist()))
+            corners = np.stack([mesh.faces, mesh.uv_faces, mesh.normal_faces], axis=2) + starts + 1
+            file.write("f %d/%d/%d %d/%d/%d %d/%d/%d\n" * len(corners) % tuple(corners.ravel().tolist()))
+            starts += [len(rows) for rows in arrays]
+    os.replace(path.with_suffix(".new"), path)
+
+
+def _unwrap(steps: Steps, name: str, tiles: list[Tile], obj: Path, options: dict, seconds: float, origin: np.ndarray,
+            parts: int, job: dict) -> list[dict]:
+    """Unwraps tiles and writes them as one OBJ file. Returns what was found of their UVs."""
+    chosen = {**options, "version": versions(options["library"])}
+
+    def unwrap_one(tile: Tile) -> Mesh:
+        points, faces = tile.part.points, tile.part.faces
+        try:
+            return uv.unwrap(Mesh(points[:, :3], faces, normals=points[:, 3:6], normal_faces=faces), seconds=seconds,
+                             **options)
+        except Error as error:
+            raise Error(error.status, f"tile {tile.name}: {error.message}") from None
+
+    def make() -> list[dict]:
+        with ThreadPoolExecutor(job["threads"] or os.cpu_count()) as pool:
+            waiting = [pool.submit(contextvars.copy_context().run, unwrap_one, tile) for tile in tiles]
+            try:
+                meshes = []
+                for done, future in enumerate(waiting, 1):
+                    meshes.append(future.result())
+                    steps.report("unwrapping", done, len(tiles), "tiles")
+            finally:
+                pool.shutdown(wait=False, cancel_futures=True)
+        _write_batch(obj, meshes, [tile.name for tile in tiles], origin)
+        return [mesh.report["uv"] for mesh in meshes]
+
+    return steps.run(f"unwrap {name}", [], {**chosen, "content": _digest(tiles)}, [obj], make, parts)
+
+
+def _bake(steps: Steps, name: str, chunks: str, tiles: list[Tile], obj: Path, widths: dict[str, float], options: dict,
+          parts: int, job: dict) -> list[dict]:
+    """Bakes tiles in one sweep over the scan, and writes their GLB files. Returns what is known of them."""
+    files = [obj.with_name(f"{tile.name}.glb") for tile in tiles]
+    whole = obj.with_suffix(".glb")
+
+    def make() -> list[dict]:
+        core.bake(chunks, obj, options["maps"], size=options["size"], samples=options["samples"], glb=whole, format="",
+                  arrays=False, as_is=True, output_path=str(obj.with_name("<MATERIAL>_<MAP>.png")),
+                  progress=steps.report, **job)
+        baked = Glb(whole)
+        found = [_finish_tile(tile, baked, i, widths[tile.name], path)
+                 for i, (tile, path) in enumerate(zip(tiles, files))]
+        whole.unlink()
+        return found
+
+    chosen = {**options, "widths": [widths[tile.name] for tile in tiles]}
+    return steps.run(f"bake {name}", [chunks, obj], chosen, files, make, parts)
+
+
+def _finite(corners: list[np.ndarray]) -> list[list]:
+    """Returns corners as JSON has them: None is no limit."""
+    return [[float(x) if np.isfinite(x) else None for x in corner] for corner in corners]
+
+
+def _make_tiles(steps: Steps, chunks: str, tiles: list[Tile], widths: dict[str, float], level: dict,
+                origin: np.ndarray, parts: int, job: dict) -> dict[str, dict]:
+    """Makes the GLB files of a batch of tiles. Returns what is known of each, by its name."""
+    name = f"{tiles[0].name}-{tiles[-1].name}"
+    obj = steps.folder / f"batch_{name}.obj"
+    unwrapping = {"size": level["size"], "padding": max(2, level["size"] // 512), "library": level["library"]}
+    unwrapped = _unwrap(steps, name, tiles, obj, unwrapping, level["seconds"], origin, parts, job)
+    baking = {key: level[key] for key in ("maps", "size", "samples")}
+    baked = _bake(steps, name, chunks, tiles, obj, widths, baking, parts, job)
+    return {tile.name: {"file": f"{tile.name}.glb", "level": tile.level, "triangles": len(tile.part.faces),
+                        "geometric_error": tile.error, "region": _finite([tile.low + origin, tile.high + origin]),
+                        **about, "uv": uvs}
+            for tile, about, uvs in zip(tiles, baked, unwrapped)}
+
+
+# ---- the tileset ----
+
+#: Content is y-up, as glTF says; tiles are z-up.
+Z_UP = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], float)
+#: Of the ellipsoid WGS 84, in metres: half of its long axis, and the square of its eccentricity.
+LONG_AXIS, ECCENTRICITY = 6378137.0, 6.69437999014e-3
+
+
+def place_matrix(longitude: float, latitude: float, height: float) -> np.ndarray:
+    """Returns the matrix from east, north and up, in metres, to the earth's axes (EPSG:4978), for a place in degrees
+    and metres above the ellipsoid."""
+    lon, lat = np.radians([longitude, latitude])
+    east = [-np.sin(lon), np.cos(lon), 0]
+    north = [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)]
+    up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    radius = LONG_AXIS / np.sqrt(1 - ECCENTRICITY * np.sin(lat) ** 2)
+    matrix = np.eye(4)
+    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = east, north, up
+    matrix[:3, 3] = radius * up * [1, 1, 1 - ECCENTRICITY] + height * up
+    return matrix
+
+
+def _node(tile: Tile, known: dict[str, dict]) -> tuple[dict, np.ndarray, np.ndarray]:
+    """Returns a tile as tileset.json describes it, and the corners of its box, in the content's axes."""
+    children = [_node(child, known) for child in tile.children]
+    low = np.min([known[tile.name]["low"], *(child[1] for child in children)], axis=0)
+    high = np.max([known[tile.name]["high"], *(child[2] for child in children)], axis=0)
+    middle, half = Z_UP @ ((low + high) / 2), np.abs(Z_UP @ ((high - low) / 2))
+    node = {"boundingVolume": {"box": [*middle.tolist(), half[0], 0, 0, 0, half[1], 0, 0, 0, half[2]]},
+            "geometricError": tile.error, "content": {"uri": known[tile.name]["file"]}}
+    if children:
+        node["children"] = [child[0] for child in children]
+    return node, low, high
+
+
+def tileset(root: Tile, known: dict[str, dict], origin: np.ndarray, options: dict) -> dict:
+    """Returns tileset.json. Without content, the error is the size of the scan, in metres."""
+    node, low, high = _node(root, known)
+    node["refine"] = "REPLACE"
+    matrix = np.eye(4) if options["place"] is None else place_matrix(*options["place"])
+    unit = unit_of(options["units"], options["scale"])
+    turn = Z_UP @ matrix_of(options["up"], unit)
+    matrix[:3, 3] += matrix[:3, :3] @ turn @ origin
+    matrix[:3, :3] = matrix[:3, :3] @ turn @ Z_UP.T
+    if not (matrix == np.eye(4)).all():
+        node["transform"] = matrix.T.ravel().tolist()
+    size = float(np.linalg.norm(np.subtract(high, low)))
+    return {"asset": {"version": "1.1", "extras": {"generator": f"Bisque {core.version()}", "options": options}},
+            "geometricError": unit * max(size, 2 * root.error), "root": node}
+
+
+# ---- all of it ----
+
+def _check_folder(output: Path) -> None:
+    """Refuses a folder that has files of others. Raises Error."""
+    if output.exists() and not output.is_dir():
+        raise Error(73, f"{output}: this is no folder")
+    own = {PAPER, "tileset.json", Folder.NAME}
+    own |= {name for name, _ in older_files(output, output / "x", output / Folder.NAME / PUBLISHED, PAPER)}
+    for name in sorted(os.listdir(output)) if output.exists() else []:
+        if name not in own:
+            raise Error(73, f"{output}: this folder has {name}, which is not of bisque-asset: choose a new one")
+
+
+def check_place(place: Any) -> tuple[float, float, float] | None:
+    """Returns longitude, latitude and height as numbers. Raises ValueError."""
+    if place is None:
+        return None
+    try:
+        lon, lat, height = (float(value) for value in place)
+    except (TypeError, ValueError):
+        raise ValueError(f"place: longitude, latitude and height are needed, not {place!r}") from None
+    if not (abs(lon) <= 180 and abs(lat) <= 90 and abs(height) < 1e7):
+        raise ValueError(f"place: {lon:g},{lat:g},{height:g} is no place on the earth, in degrees and metres")
+    return lon, lat, height
+
+
+def tiles(scan: Any, output: str | os.PathLike, *, tile_triangles: int = 10_000, triangles: int | str | None = None,
+          size: int | str = 1024, maps: Any = ("normal", "color"), samples: int = 2, library: str = uv.USUAL,
+          unwrap_seconds: float = 300, min_component: float | str = 0, min_triangles: int = 0, texture: Any = None,
+          up: str | None = None, units: str | None = None, scale: float | None = None, place: Any = None,
+          memory: int | str | None = None, threads: int = 0, progress: core.Progress | None = None) -> dict:
+    """Makes 3D Tiles 1.1 of a scan in a folder: tileset.json, a GLB file for each tile, and the certificate,
+    tiles.json. The folder must not hold other files.
+
+    tile_triangles: most triangles of a tile, at least 100. triangles: of the finest level, or "10%" of the scan's;
+    without it, a tile of it stands for about a million of the scan's. size: texels of a side of each tile's maps. up,
+    units, scale: as of asset(). place: longitude and latitude in degrees and height in metres, where zero of the scan's
+    coordinates lies; without it, that is zero of the tileset's. Interrupted jobs go on. Returns the certificate. Raises
+    Error, ValueError."""
+    output, size = Path(output), parse_texels(size)
+    for name, value, least, most in (("tile_triangles", tile_triangles, 100, 2 ** 31), ("samples", samples, 1, 2 ** 16),
+                                     ("min_triangles", min_triangles, 0, 2 ** 63)):
+        core.check_number(name, value, least, most)
+    triangles = None if triangles is None else check_triangles(triangles, 4)
+    min_component = parse_amount("min_component", str(min_component).removesuffix("%"))[0]
+    check_library(library)
+    check_options(up, units, scale)
+    if not 0 <= unwrap_seconds <= 1e9:
+        raise ValueError(f"unwrap_seconds: a number from 0 to 1e+09 is needed, not {unwrap_seconds:g}")
+    maps = list(dict.fromkeys((maps,) if isinstance(maps, str) else maps))
+    if not set(maps) <= {"normal", "color"} or not maps:
+        raise ValueError(f"maps: tiles have normal and color, not {','.join(maps)}")
+    place = check_place(place)
+    paths = [] if core._is_memory(scan) else core._paths(scan)
+    for path in [*paths, *([os.fsdecode(texture)] if texture else [])]:
+        if output.resolve() in Path(path).resolve().parents:
+            raise ValueError(f"{path}: the files in {output} are replaced; move it elsewhere")
+    _check_folder(output)
+    job = {"memory": core.parse_bytes(memory), "threads": core.check_number("threads", threads, 0, 65536)}
+    level = {"size": size, "maps": maps, "samples": samples, "library": library, "seconds": unwrap_seconds}
+    options = {"tile_triangles": tile_triangles, "triangles": triangles, "size": size, "maps": maps,
+               "samples": samples, "library": library, "min_component": min_component, "min_triangles": min_triangles,
+               "up": up, "units": units, "scale": scale, "place": place}
+    private, done = Folder(output), False
+    try:
+        steps = Steps(private, progress, 1)
+        steps.total -= WEIGHTS["voxelize"]
+        chunks, about = sorted_scan(steps, scan, paths, texture, job)
+        certificate = _run(steps, chunks, about, options, level, job)
+        certificate["scan"] = [{"path": path, "bytes": os.path.getsize(path), "sha256": steps.hold(path)}
+                               for path in paths] or "arrays in memory"
+        publish(certificate, output, output / "x", private.path / PUBLISHED, steps, True, PAPER)
+        done = True
+        return certificate
+    finally:
+        needed = not done and any((private.path / name).exists() for name in ("steps.json", PUBLISHED))
+        private.close(not needed)
+
+
+def _run(steps: Steps, chunks: str, about: dict, options: dict, level: dict, job: dict) -> dict:
+    """Makes all files of the tileset in the private folder. Returns the certificate, in which "files" are paths."""
+    low, high = np.array(about["box"]["min"]), np.array(about["box"]["max"])
+    # Far from zero, single precision would lose detail.
+    origin = np.round((low + high) / 2) if np.abs([low, high]).max() > 64 * (high - low).max() else np.zeros(3)
+    if not about["color"]:
+        level = {**level, "maps": [name for name in level["maps"] if name != "color"]}
+        if not level["maps"]:
+            raise Error(65, "the scan has no colour, and no other map is asked for")
+    targets = level_targets(about["triangles"], options["tile_triangles"], options["triangles"])
+    root = _make_tree(steps, chunks, targets, options["tile_triangles"], options, origin, job)
+    levels = [[tile for tile in root.all() if tile.level == i] for i in range(len(targets))]
+    measured = [_measure(steps, chunks, some, origin, len(levels), job) if some else {} for some in levels]
+    _raise_errors(root, 1e-9 * float(np.linalg.norm(high - low)))
+    widths = dict(_widest_skirts(root))
+    batches = [some[i:i + BATCH] for some in levels for i in range(0, len(some), BATCH)]
+    known: dict[str, dict] = {}
+    for batch in batches:
+        known.update(_make_tiles(steps, chunks, batch, widths, level, origin, len(batches), job))
+    plan = steps.folder / "tileset.json"
+    plan.write_text(json.dumps(tileset(root, known, origin, options), indent=1) + "\n")
+    files = {tile["file"]: steps.folder / tile["file"] for tile in known.values()}
+    made = steps.folder.parent
+    return {"generator": f"Bisque {core.version()}", "created": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+            "scan_triangles": about["triangles"], "lost": lost_of(about), "warnings": steps.warnings_of(None),
+            "options": options, "versions": versions(options["library"]),
+            "meshes": [{"target": target, "triangles": sum(len(tile.part.faces) for tile in some), "tiles": len(some),
+                        **distances} for target, some, distances in zip(reversed(targets), levels, measured)],
+            "tiles": known, "seconds": steps.seconds,
+            "levels": [{"name": "tiles", "files": {made / name: path for name, path in
+                                                   {**files, "tileset.json": plan}.items()}}]}
