@@ -101,6 +101,20 @@ def test_files_are_those_of_the_certificate(made):
     assert len(certificate["tiles"]) > 12 and certificate["tiles"]["0_1"]["file"] == tileset["root"]["content"]["uri"]
 
 
+def test_page_has_all_that_it_needs(made, monkeypatch, tmp_path):
+    module = sys.modules["bisque.tiles"]
+    for name in module.SCRIPTS:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(f"/* {name} */")
+    monkeypatch.setattr(module, "THREE", tmp_path)
+    assert module.make_page(tmp_path / "index.html")
+    page = (tmp_path / "index.html").read_text()
+    assert all(f"<script>/* {name} */</script>" in page for name in module.SCRIPTS)
+    assert "<!--scripts-->" not in page and "src=" not in page
+    (tmp_path / module.SCRIPTS[0]).unlink()
+    assert not module.make_page(tmp_path / "none.html") and not (tmp_path / "none.html").exists()
+
+
 def test_boxes_contain_content_and_errors_fall(made):
     folder, certificate, tileset = made
     count = 0
@@ -331,7 +345,7 @@ def test_a_second_tileset_replaces_the_first(tmp_path):
     bisque.tiles(scan, tmp_path / "out", tile_triangles=100, triangles=400, size=32)
     before = set(contents(tmp_path / "out"))
     certificate = bisque.tiles(scan, tmp_path / "out", tile_triangles=100, triangles=100, size=32)
-    assert set(contents(tmp_path / "out")) == {"0_1.glb", "tileset.json"} < before
+    assert {*contents(tmp_path / "out")} - {"index.html"} == {"0_1.glb", "tileset.json"} < before
     assert certificate["options"]["maps"] == ["normal", "color"] and len(certificate["tiles"]) == 1
 
 

@@ -21,10 +21,11 @@ check-python: $(venv)/installed $(generator) $(BUILD)/tests/faults.so
 	    $(venv)/bin/python -m pytest -q -n 2 --dist loadfile -p no:cacheprovider tests/python
 
 .PHONY: check-viewers
-## check-viewers: normals of a GLB file in trimesh, Assimp, three.js and, with bpy=PYTHON, Blender
+## check-viewers: the page of 3D Tiles; normals of a GLB file in trimesh, Assimp, three.js and, with bpy=PYTHON, Blender
 check-viewers: $(venv)/installed
 	@tests/install-packages.sh chromium libjs-three
 	$(venv)/bin/pip install -q pillow assimp-py
+	$(venv)/bin/python tests/python/tiles_page.py $(BUILD)/viewers
 	$(venv)/bin/python tests/python/viewers.py $(if $(bpy),--blender $(bpy)) $(BUILD)/viewers
 
 ## wheel: build/CONFIG/wheel with a wheel for other systems, checked (needs PyPI)
@@ -70,7 +71,7 @@ demo-tiles: $(venv)/installed $(generator)
 	@mkdir -p $(demo_dir)
 	$(generator) --triangles 10000000 --colors vase -o $(demo_dir)/large.ply
 	$(venv)/bin/bisque-asset $(demo_dir)/large.ply -o $(demo_dir)/tiles --tiles
-	@echo "Serve $(demo_dir)/tiles, and open tileset.json with a viewer of 3D Tiles"
+	@echo "python3 -m http.server -d $(demo_dir)/tiles shows them (with libjs-three), as does a viewer of 3D Tiles"
 
 .PHONY: bench-asset
 ## bench-asset: compare bisque-asset with Blender, CGAL, xatlas and Cycles; BPY=PYTHON with bpy, embreex, trimesh, xatlas and pillow; SCANS='a.obj b.obj:b.png' (default: generated)

@@ -28,6 +28,9 @@ from .steps import WEIGHTS, Folder, Steps
 SCAN_OF_LEAF = 1_000_000
 #: The certificate.
 PAPER = "tiles.json"
+#: Where Debian's package libjs-three is installed, and its parts that the page needs.
+THREE = Path("/usr/share/javascript/three")
+SCRIPTS = ("build/three.min.js", "examples/js/controls/OrbitControls.js", "examples/js/loaders/GLTFLoader.js")
 #: Tiles whose maps are baked in one sweep over the scan.
 BATCH = 64
 #: Triangles of a level to those of the next coarser one.
@@ -265,13 +268,23 @@ def tileset(root: Tile, known: dict[str, dict], origin: np.ndarray, options: dic
             "geometricError": unit * max(size, 2 * root.error), "root": node}
 
 
+def make_page(path: Path) -> bool:
+    """Writes a page that shows the tileset beside it. Returns False if libjs-three is not installed."""
+    if not all((THREE / name).is_file() for name in SCRIPTS):
+        return False
+    scripts = "".join(f"<script>{(THREE / name).read_text('utf-8')}</script>\n" for name in SCRIPTS)
+    frame = (Path(__file__).parent / "viewer.html").read_text("utf-8")
+    path.write_text(frame.replace("<!--scripts-->\n", scripts), "utf-8")
+    return True
+
+
 # ---- all of it ----
 
 def _check_folder(output: Path) -> None:
     """Refuses a folder that has files of others. Raises Error."""
     if output.exists() and not output.is_dir():
         raise Error(73, f"{output}: this is no folder")
-    own = {PAPER, "tileset.json", Folder.NAME}
+    own = {PAPER, "tileset.json", "index.html", Folder.NAME}
     own |= {name for name, _ in older_files(output, output / "x", output / Folder.NAME / PUBLISHED, PAPER)}
     for name in sorted(os.listdir(output)) if output.exists() else []:
         if name not in own:
@@ -366,7 +379,8 @@ def _run(steps: Steps, chunks: str, about: dict, options: dict, level: dict, job
     plan = steps.folder / "tileset.json"
     plan.write_text(json.dumps(tileset(root, known, origin, options), indent=1) + "\n")
     files = {tile["file"]: steps.folder / tile["file"] for tile in known.values()}
-    made = steps.folder.parent
+    made, page = steps.folder.parent, steps.folder / "index.html"
+    others = {"tileset.json": plan, **({"index.html": page} if make_page(page) else {})}
     return {"generator": f"Bisque {core.version()}", "created": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             "scan_triangles": about["triangles"], "lost": lost_of(about), "warnings": steps.warnings_of(None),
             "options": options, "versions": versions(options["library"]),
@@ -374,4 +388,4 @@ def _run(steps: Steps, chunks: str, about: dict, options: dict, level: dict, job
                         **distances} for target, some, distances in zip(reversed(targets), levels, measured)],
             "tiles": known, "seconds": steps.seconds,
             "levels": [{"name": "tiles", "files": {made / name: path for name, path in
-                                                   {**files, "tileset.json": plan}.items()}}]}
+                                                   {**files, **others}.items()}}]}
