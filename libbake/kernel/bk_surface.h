@@ -417,7 +417,7 @@ BK_FN bk_blend bk_blend_corners(const bk_corner corners[8], const bk_fw tents[8]
     }
     blend.weight = bk_sum_pairs(w);
     total = bk_sum_pairs(s);
-    /* Weights may be so small that n is 0: the surface in all voxels turns by nearly 180 degrees. */
+    /* With faint weights, n may be 0: all surfaces around turn by nearly 180 degrees. */
     blend.found = bk_less(bk_splat(0.5f), bk_dotw(n, n)) & bk_less(bk_splat(0.0f), total);
     blend.distance = bk_sum_pairs(sh) / total;
     for (i = 0; i < 4; i++) {
