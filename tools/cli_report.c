@@ -55,7 +55,7 @@ struct cli_text cli_size(uint64_t bytes)
 
 struct cli_text cli_count(uint64_t count)
 {
-    struct cli_text out;
+    struct cli_text out = {0};
     char digits[24], *to = out.text;
     int length = snprintf(digits, sizeof digits, "%llu", (unsigned long long)count);
     for (int i = 0; i < length; i++) {
@@ -63,7 +63,6 @@ struct cli_text cli_count(uint64_t count)
             *to++ = ',';
         *to++ = digits[i];
     }
-    *to = '\0';
     return out;
 }
 

@@ -1,4 +1,5 @@
 /* exact_leaves_lanes.c - finds the nearest hit, or any, of a secondary ray. */
+#include <assert.h>
 #include <float.h>
 
 #include "libbake/exact/exact_leaves.h"
@@ -168,6 +169,7 @@ static void walk_step(struct look *look, const struct exact_step *step, unsigned
     look->chunk = step->chunk;
     look->far = step->far;
     look->walk.contents = step->chunk ? (const char *)step->chunk->leaves : NULL;
+    assert(!step->chunk || look->walk.contents);
     exact_walk_below(&look->walk, tree_of(look->group, step), step->level, step->node, bits,
                      crossed, step->chunk ? visit_leaf : visit_chunk, look);
 }
