@@ -315,10 +315,12 @@ static int use_inputs(struct cli *cli, struct bake_arguments *arguments, int sca
 /* Refuses a low-poly mesh before its scan. */
 static int refuse_order(struct cli *cli, char *const *files)
 {
-    enum fmt_kind kinds[2];
-    for (int i = 0; i < 2; i++)
-        BSQ_PASS(fmt_recognise(cli->ctx, files[i], &kinds[i]));
-    if (kinds[0] == FMT_KIND_MESH && (kinds[1] == FMT_KIND_TRIS || kinds[1] == FMT_KIND_NVDB))
+    enum fmt_kind kind;
+    BSQ_PASS(fmt_recognise(cli->ctx, files[0], &kind));
+    if (kind != FMT_KIND_MESH)
+        return 0;
+    BSQ_PASS(fmt_recognise(cli->ctx, files[1], &kind));
+    if (kind == FMT_KIND_TRIS || kind == FMT_KIND_NVDB)
         return cli_usage(cli, "%s is a low-poly mesh, and %s a scan: swap them", files[0],
                          files[1]);
     return 0;

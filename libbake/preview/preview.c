@@ -7,6 +7,7 @@
 
 #include "base/colour_difference.h"
 #include "base/parallel.h"
+#include "base/text.h"
 #include "formats/image/image_writer.h"
 #include "libbake/preview/preview_view.h"
 
@@ -380,7 +381,9 @@ static void write_difference(const struct rendering *r)
             sum += bsq_ciede2000(lab[0], lab[1]);
             count++;
         }
+    const locale_t host = bsq_plain_numbers();
     snprintf(text, sizeof text, "mean dE2000 %.2f", count > 0 ? sum / count : 0);
+    uselocale(host);
     const uint32_t length = (uint32_t)strlen(text), middle = 2 * r->side + SEPARATOR;
     for (uint32_t i = 0; i < length; i++)
         draw_letter(r, text[i], middle + GLYPH_STEP * i - GLYPH_STEP * length / 2);

@@ -138,11 +138,15 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 def _lines_of(a: argparse.Namespace, certificate: dict) -> list[str]:
     """Returns what was made in words."""
     if a.tiles:
-        return [f"{_printable(a.output)}: {len(certificate['tiles'])} tiles"] + [
-            f"level {i}: {mesh['triangles']} triangles in {mesh['tiles']} tiles; farthest from the scan "
+        return [f"{_printable(a.output)}: {_counted(len(certificate['tiles']), 'tile')}"] + [
+            f"level {i}: {mesh['triangles']} triangles in {_counted(mesh['tiles'], 'tile')}; farthest from the scan "
             f"{mesh['from_scan']['max']:.4g}" for i, mesh in enumerate(certificate["meshes"])]
     lines = [
         f"{_printable(a.output)}: {level['triangles']} triangles, {level['size']} x {level['size']} texels, "
