@@ -3,6 +3,7 @@ bisque-asset may end."""
 import hashlib
 import json
 import os
+import signal
 import struct
 import subprocess
 import sys
@@ -11,6 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+# A shell that starts tests in the background lets them ignore this signal, and so what they run.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 RADIUS, WAVES, HEIGHT = 1.0, 9, 0.01
 
