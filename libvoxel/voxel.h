@@ -253,7 +253,8 @@ struct vox_distances {
 
 /** A box of space, whose sides may be infinite, and how far a mesh is from a scan in it. */
 struct vox_measured_box {
-    double low[3], high[3]; /**< In the scan's units. */
+    double low[3];    /**< Its lower corner, in the scan's units. */
+    double high[3];   /**< Its upper corner. */
     double from_scan; /**< No point of a triangle of the scan that touches the box is farther from
                          the mesh; 0: there is none. */
     double from_mesh; /**< No point of a triangle of the mesh that touches the box is farther from
