@@ -131,7 +131,7 @@ static double view_cosine(const struct bake_preview_views *views, uint32_t i, co
 
 TEST(test_views_show_the_front_of_an_open_mesh)
 {
-    double pyramid[6][3][3];
+    double pyramid[6][3][3], triangle[1][3][3];
     struct bake_lowmesh mesh = {.triangle_count = make_pyramid(1, 2, pyramid),
                                 .positions = pyramid};
     struct bake_options options = {.preview_views = 4, .preview_from = -1, .preview_above = -1};
@@ -146,7 +146,6 @@ TEST(test_views_show_the_front_of_an_open_mesh)
             const double *n = fronts[f];
             /* A triangle across the front: its corners are s, t and -s - t, with s x t along n. */
             const double s[3] = {n[1] - n[2], n[2] - n[0], n[0] - n[1]};
-            double triangle[1][3][3];
             for (int k = 0; k < 3; k++) {
                 const int a = (k + 1) % 3, b = (k + 2) % 3, to = up == 1 ? k : k == 0 ? 0 : 3 - k;
                 const double sign = up == 2 && k == 2 ? -1 : 1, t = n[a] * s[b] - n[b] * s[a];
