@@ -43,9 +43,11 @@ enum bake_position_in {
     BAKE_IN_BOX     /**< The ends of the scan's bounding box, on each axis. */
 };
 
-/** What the opacity of a GLB file's material means: how much shows of what lies behind it, or what
- * is below one half is not there. */
-enum bake_alpha { BAKE_ALPHA_BLEND, BAKE_ALPHA_MASK };
+/** How viewers use the opacity in a GLB file. */
+enum bake_alpha {
+    BAKE_ALPHA_BLEND, /**< The surface is mixed with what is behind it. */
+    BAKE_ALPHA_MASK   /**< Texels with an opacity below 0.5 are not drawn. */
+};
 
 /** The sides of a GLB file's triangles that viewers draw. */
 enum bake_sides { BAKE_ONE_SIDE, BAKE_TWO_SIDES };
@@ -272,8 +274,8 @@ struct bake_options {
     /** Output: the low-poly mesh with the maps normal, color, ao, and the transfer maps roughness,
      * metallic, occlusion (instead of ao), emission and opacity, as a glTF file (GLB), or NULL. */
     const char *glb_path;
-    enum bake_alpha glb_alpha; /**< What opacity means in it. */
-    enum bake_sides glb_sides; /**< Which sides of its triangles are seen. */
+    enum bake_alpha glb_alpha; /**< How viewers of that file use its opacity. */
+    enum bake_sides glb_sides; /**< The sides of its triangles that they draw. */
     const char *preview_path;  /**< Output: a preview, PNG, or NULL. */
     uint32_t preview_views;    /**< Views around the mesh, to BAKE_MAX_VIEWS. */
     enum bake_up preview_up;   /**< Vertical axis of the preview. */

@@ -234,8 +234,8 @@ static json_t *textures_json(const struct fmt_tris_header *h)
     return list;
 }
 
-/* Returns what opacity means on the materials of a chunk file: "blend", "mask" if it is 0 or 1
- * everywhere, or NULL if all are opaque. */
+/* Returns how viewers should use the opacity of a chunk file's materials: "blend", "mask" if it is
+ * 0 or 1 everywhere, or NULL if all are opaque. */
 static const char *alpha_text(const struct fmt_tris_header *h)
 {
     bool masks = false, blends = false;

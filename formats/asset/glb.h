@@ -22,8 +22,12 @@ enum fmt_glb_texture {
     FMT_GLB_TEXTURES
 };
 
-/* What alpha means: nothing; it hides what is below one half; it blends with what lies behind. */
-enum fmt_glb_alpha { FMT_GLB_OPAQUE, FMT_GLB_MASK, FMT_GLB_BLEND };
+/* How a viewer uses the alpha of the base colour, as glTF's alphaMode says. */
+enum fmt_glb_alpha {
+    FMT_GLB_OPAQUE, /* not at all */
+    FMT_GLB_MASK,   /* texels with an alpha below 0.5 are not drawn */
+    FMT_GLB_BLEND   /* texels are mixed with what is behind the surface */
+};
 
 struct fmt_glb_material {
     const char *name;                                  /* UTF-8 */

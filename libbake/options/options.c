@@ -225,7 +225,7 @@ static const struct bsq_option table[] = {
              "the low-poly mesh as a glTF file with its maps normal, color, ao and\n"
              "transfer:roughness, metallic, occlusion, emission and opacity"),
      .heading = "Asset and preview", MEMBER(OUTPUT, glb_path)},
-    {KEY("material", "alpha", "MODE", "what opacity means in this file: blend, or mask for holes"),
+    {KEY("material", "alpha", "MODE", "how viewers use opacity: blend, or mask for holes"),
      CHOICE(glb_alpha, "blend mask"), FINISHES, .needs = ASSET},
     {KEY("material", "sides", "N", "sides of its triangles that viewers draw: one or two"),
      CHOICE(glb_sides, "one two"), FINISHES, .needs = ASSET},

@@ -152,7 +152,8 @@ bool bake_preview_place_views(const struct bake_preview *preview, int up,
     const struct bake_options *options = preview->options;
     double facing[3];
     find_facing(preview->mesh, up, facing);
-    const double aside = hypot(facing[0], facing[2]), whole = hypot(aside, facing[1]);
+    const double aside = sqrt(facing[0] * facing[0] + facing[2] * facing[2]),
+                 whole = sqrt(aside * aside + facing[1] * facing[1]);
     const double high = atan2(facing[1], aside) * radian;
     const bool open = whole > open_share;
     *out = (struct bake_preview_views){.from = options->preview_from,

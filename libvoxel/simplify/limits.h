@@ -45,8 +45,8 @@ void vox_limits_change(struct vox_limits *limits);
 /* Sets owners to the numbers that triangles get by vox_rings_compact(). */
 void vox_limits_number(struct vox_limits *limits, const struct vox_rings *r);
 
-/* Multiplies limits: of points of marked triangles by `share`, of those around them by half as much
- * less. mesh: the result of the collapses. */
+/* Multiplies the limits of points that belong to marked triangles by `share`, and those of points
+ * in triangles beside these by the mean of `share` and 1. mesh: the result of the collapses. */
 void vox_limits_tighten(struct vox_limits *limits, const struct vox_mesh *mesh,
                         const _Atomic uint8_t *marks, float share);
 

@@ -154,18 +154,6 @@ static int trace_as_bakes_do(struct bench *bench)
 
 /* ---- measuring ---- */
 
-static int by_value(const void *a, const void *b)
-{
-    const double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-static double median(double *values, unsigned count)
-{
-    qsort(values, count, sizeof *values, by_value);
-    return count % 2 ? values[count / 2] : (values[count / 2 - 1] + values[count / 2]) / 2;
-}
-
 static int measure(struct bench *bench, float limit, const char *name, unsigned rounds)
 {
     const double all = (double)(bench->point_count * bench->params.open_rays);
@@ -185,8 +173,8 @@ static int measure(struct bench *bench, float limit, const char *name, unsigned 
         return bsq_fail(bench->ctx, BSQ_EBUG, "%.0f rays differ from Embree's", fabs(difference));
     printf("| %s | %.1f | %.3f |", name, 1e-6 * all, 1 - (double)bench->hidden[SINGLE] / all);
     for (int job = 0; job < JOBS; job++)
-        printf(" %.2f |", median(rates[job], rounds));
-    printf(" %.2f |\n", median(ratios, rounds));
+        printf(" %.2f |", rays_median(rates[job], rounds));
+    printf(" %.2f |\n", rays_median(ratios, rounds));
     fflush(stdout);
     return 0;
 }

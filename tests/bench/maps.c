@@ -27,18 +27,6 @@ struct bench {
     double seconds[RAYS_WAYS];
 };
 
-static int by_value(const void *a, const void *b)
-{
-    const double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-static double median(double *values, unsigned count)
-{
-    qsort(values, count, sizeof *values, by_value);
-    return count % 2 ? values[count / 2] : (values[count / 2 - 1] + values[count / 2]) / 2;
-}
-
 /* Traces all samples for these maps. */
 static int trace(struct bench *bench, uint32_t maps, double *seconds)
 {
@@ -77,7 +65,7 @@ static int measure_maps(struct bench *bench)
                 return status;
             ratios[round] = both / alone;
         }
-        printf("| %s | %.3f |\n", maps[m].name, median(ratios, rounds));
+        printf("| %s | %.3f |\n", maps[m].name, rays_median(ratios, rounds));
     }
     return 0;
 }
@@ -106,9 +94,9 @@ static void add_rays(struct bench *bench, const bk_grid *grid, bk_cache *cache, 
     const bk_vec3w hit = bk_add_scaledw(start.origin, hits.t, start.direction);
     const bk_vec3 at = bk_add_scaled(bk_lane3(&hit, 0), BK_LIFT, normal);
     const bk_rays kind = bk_rays_of(params, 1);
-    const bk_share share = bk_sample_share(x, y, params->samples);
+    const bk_viewpoint from = {.normal = normal, .share = bk_sample_share(x, y, params->samples)};
     for (bk_uint i = 0; i < params->open_rays; i++) {
-        const bk_vec3w d = bk_ray_directions(&kind, share, normal, i);
+        const bk_vec3w d = bk_ray_directions(&kind, &from, i);
         float *ray = bench->rays[bench->count++];
         ray[0] = at.x;
         ray[1] = at.y;
@@ -192,10 +180,10 @@ static int measure_rays(struct bench *bench, float limit, const char *name)
     }
     printf("| %s | %.1f | %.3f | %.2f |", name, 1e-6 * (double)bench->total,
            1 - (double)bench->hidden[RAYS_SINGLE] / (double)bench->total,
-           median(ours, bench->rounds));
+           rays_median(ours, bench->rounds));
     for (int way = 0; way < RAYS_WAYS; way++)
-        printf(" %.2f |", median(embree[way], bench->rounds));
-    printf(" %.2f |\n", median(ratios, bench->rounds));
+        printf(" %.2f |", rays_median(embree[way], bench->rounds));
+    printf(" %.2f |\n", rays_median(ratios, bench->rounds));
     return 0;
 }
 

@@ -36,6 +36,9 @@ int rays_for_patches(struct rays_scene *scene, int (*fn)(void *arg, const struct
 /* Returns the processor time that all threads took until now. */
 double rays_seconds(void);
 
+/* Returns the median of values, and sorts them. */
+double rays_median(double *values, unsigned count);
+
 /* Traces all rays on an open device. *seconds: of the processor. */
 int rays_trace(struct rays_scene *scene, struct bake_device *device, double *seconds);
 

@@ -1,4 +1,5 @@
 /* rays_scene.c - prepares rays as bisque-bake does, and traces them patch by patch. */
+#include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
 
@@ -147,6 +148,18 @@ double rays_seconds(void)
     getrusage(RUSAGE_SELF, &usage);
     return (double)usage.ru_utime.tv_sec + (double)usage.ru_stime.tv_sec +
            1e-6 * (double)(usage.ru_utime.tv_usec + usage.ru_stime.tv_usec);
+}
+
+static int by_value(const void *a, const void *b)
+{
+    const double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+double rays_median(double *values, unsigned count)
+{
+    qsort(values, count, sizeof *values, by_value);
+    return count % 2 ? values[count / 2] : (values[count / 2 - 1] + values[count / 2]) / 2;
 }
 
 int rays_trace(struct rays_scene *scene, struct bake_device *device, double *seconds)
