@@ -190,10 +190,11 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
         low.report.update(steps.run("check distance" + suffix, [chunks, obj], {}, [],
                                     lambda: core.measure(bare, chunks, **job)))
     reach = low.report["from_scan"]["max"]
-    shown, plain, packing = glb.packed(steps, level, files["glb"], job)
+    shown, packing = glb.packed(steps, level, files["glb"], job)
+    first = next(iter(shown.values()))
     looking = {"reach": reach, "maps": maps, "two_sided": options["two_sided"]}
-    errors = steps.run("check" + suffix, [chunks, plain], looking, [],
-                       lambda: seen.compare_views(plain, chunks, **looking, progress=steps.report, **job))
+    errors = steps.run("check" + suffix, [chunks, first], looking, [],
+                       lambda: seen.compare_views(first, chunks, **looking, progress=steps.report, **job))
     made = {}
     for path, file in shown.items():
         made[path], placement = place.placed(steps, level, file, low, report.get("preview_up"))

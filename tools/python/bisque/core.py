@@ -359,8 +359,8 @@ def sort(scan: Any, output: str | os.PathLike, *, texture: Any = None, ids: str 
     """Sorts a scan into a chunk file (.tris), from which all other functions start faster.
 
     texture: an image for all faces with texture coordinates. ids: "material", "object" or "color".
-    channels: such as ("roughness",), or "all" that materials have. scan_normals: of a scan that has none, by "area" (auto), "angle",
-    "max" or "flat". Returns the report. Raises Error."""
+    channels: such as ("roughness",), or "all" that materials have. scan_normals: of a scan that has none, by
+    "area" (auto), "angle", "max" or "flat". Returns the report. Raises Error."""
     with Job(memory, threads, tmpdir, progress) as job:
         return _sort(job, scan, os.fspath(output), texture, ids, channels, embed_textures,
                      scan_normals)

@@ -1,4 +1,4 @@
-"""GLB files: reads those that bake() and pack() write, and packs images and geometry.
+"""GLB files: reads and writes those of Bisque, and packs images and geometry.
 
 Geometry is packed by meshoptimizer (EXT_meshopt_compression over KHR_mesh_quantization) or by Draco
 (KHR_draco_mesh_compression), images become JPEG files. What that loses is measured on the packed file."""
@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import copy
 import json
+import mmap
 import os
 import struct
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, Sequence
 
 import numpy as np
 
@@ -38,12 +39,20 @@ def check_options(images: Any, geometry: Any) -> None:
         _draco()
 
 
+#: Those of the header and of a chunk.
+_MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
+
+
 class Glb:
-    """A GLB file whose buffer is in it."""
+    """A GLB file whose buffer is in it. It is mapped, and not to change. Raises Error for other files."""
 
     def __init__(self, path: str | os.PathLike):
-        data = memoryview(Path(path).read_bytes())
-        length, = struct.unpack_from("<I", data, 12)
+        with open(path, "rb") as file:
+            begin = file.read(20)
+            magic, _, _, length, kind = struct.unpack("<5I", begin) if len(begin) == 20 else (0,) * 5
+            if magic != _MAGIC or kind != _JSON:
+                raise Error(65, f"{path}: not a GLB file")
+            data = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
         self.head, self.data = json.loads(bytes(data[20:20 + length])), data[28 + length:]
 
     def view(self, number: int) -> Any:
@@ -77,6 +86,16 @@ class Glb:
 
     def image_number(self, texture: dict) -> int:
         return self.head["textures"][texture["index"]]["source"]
+
+
+def write_glb(path: Path, head: dict, parts: Sequence[Any], length: int) -> None:
+    """Writes a GLB file. parts: those of its buffer, of `length` bytes in all, a multiple of 4. Raises OSError."""
+    text = json.dumps(head, separators=(",", ":"), ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 4)
+    with open(path, "wb") as file:
+        file.write(struct.pack("<5I", _MAGIC, 2, 28 + len(text) + length, len(text), _JSON) + text)
+        file.write(struct.pack("<2I", length, _BINARY))
+        file.writelines(parts)
 
 
 # ---- geometry ----
@@ -121,7 +140,7 @@ def _oct(values: np.ndarray) -> np.ndarray:
     return found
 
 
-class _Writer:
+class Writer:
     """Collects the parts of a GLB file."""
 
     def __init__(self, head: dict):
@@ -161,15 +180,11 @@ class _Writer:
         self.head["buffers"] = [{"byteLength": self.length}]
         if self.unpacked:
             self.head["buffers"].append({"byteLength": self.unpacked, "extensions": {MESHOPT: {"fallback": True}}})
-        text = json.dumps(self.head, separators=(",", ":"), ensure_ascii=False).encode()
-        text += b" " * (-len(text) % 4)
-        with open(path, "wb") as file:
-            file.write(struct.pack("<IIIII", 0x46546C67, 2, 28 + len(text) + self.length, len(text), 0x4E4F534A) + text)
-            file.write(struct.pack("<II", self.length, 0x004E4942))
-            file.writelines(self.parts)
+        write_glb(path, self.head, self.parts, self.length)
 
 
-def _write_plain(out: _Writer, attributes: dict[str, np.ndarray], faces: np.ndarray) -> dict:
+def write_plain(out: Writer, attributes: dict[str, np.ndarray], faces: np.ndarray) -> dict:
+    """Adds a primitive as bake() writes it: rows of floats, and indices. Returns what describes it."""
     rows = np.ascontiguousarray(np.concatenate(list(attributes.values()), axis=1), "<f4")
     view, at, found = out.add(rows.tobytes(), byteStride=rows.shape[1] * 4, target=34962), 0, {}
     for name, values in attributes.items():
@@ -180,7 +195,7 @@ def _write_plain(out: _Writer, attributes: dict[str, np.ndarray], faces: np.ndar
     return {"attributes": found, "indices": out.add_accessor(indices, 5125, faces.size, 1)}
 
 
-def _write_meshopt(out: _Writer, attributes: dict[str, np.ndarray], faces: np.ndarray, low: np.ndarray,
+def _write_meshopt(out: Writer, attributes: dict[str, np.ndarray], faces: np.ndarray, low: np.ndarray,
                    step: float) -> dict:
     """Quantizes and packs a primitive. low, step: what positions are relative to, and the length of 1."""
     faces = np.ascontiguousarray(faces, np.uint32)
@@ -220,7 +235,7 @@ def _write_meshopt(out: _Writer, attributes: dict[str, np.ndarray], faces: np.nd
     return {"attributes": found, "indices": out.add_accessor(view, 5125, faces.size, 1)}
 
 
-def _write_draco(out: _Writer, attributes: dict[str, np.ndarray], faces: np.ndarray) -> dict:
+def _write_draco(out: Writer, attributes: dict[str, np.ndarray], faces: np.ndarray) -> dict:
     others = {name: values for name, values in attributes.items() if name not in ("POSITION", "NORMAL", "TEXCOORD_0")}
     data = _draco().encode(
         attributes["POSITION"].astype(np.float32), faces.astype(np.uint32), quantization_bits=POSITION_BITS,
@@ -241,7 +256,7 @@ def _write_draco(out: _Writer, attributes: dict[str, np.ndarray], faces: np.ndar
             "extensions": {DRACO: packed}}
 
 
-def _pack_geometry(glb: Glb, out: _Writer, geometry: str) -> None:
+def _pack_geometry(glb: Glb, out: Writer, geometry: str) -> None:
     """Packs all primitives. Quantized positions share one cube, so that borders between primitives fit."""
     if geometry != "none":
         out.use(DRACO if geometry == "draco" else MESHOPT)
@@ -260,7 +275,7 @@ def _pack_geometry(glb: Glb, out: _Writer, geometry: str) -> None:
             if geometry == "meshopt":
                 primitive.update(_write_meshopt(out, attributes, faces, low, step))
             else:
-                write = _write_draco if geometry == "draco" else _write_plain
+                write = _write_draco if geometry == "draco" else write_plain
                 primitive.update(write(out, attributes, faces))
 
 
@@ -294,7 +309,7 @@ def copy_image(path: Any, output: Any, use: int, *, factor: int = 1, channels: i
         work.run(lib.images_copy, how)
 
 
-def _pack_images(glb: Glb, out: _Writer, folder: Path, images: str, factor: int, job: dict) -> dict:
+def _pack_images(glb: Glb, out: Writer, folder: Path, images: str, factor: int, job: dict) -> dict:
     """Adds the images, smaller ones or JPEG files. Returns what JPEG lost, by names."""
     lost = {}
     for number, image in enumerate(out.head.get("images", [])):
@@ -338,26 +353,6 @@ def surface(glb: Glb) -> Mesh:
     return Mesh(np.concatenate(points), np.concatenate(triangles))
 
 
-def unpack(source: Path, target: Path) -> None:
-    """Writes a packed file as bake() writes one, with the same images."""
-    glb = Glb(source)
-    out = _Writer(copy.deepcopy(glb.head))
-    for key in ("extensionsUsed", "extensionsRequired"):
-        out.head[key] = [name for name in out.head.get(key, []) if name not in (MESHOPT, DRACO, QUANTIZED)]
-        if not out.head[key]:
-            del out.head[key]
-    scale = out.head["nodes"][0].pop("scale", 1)
-    for image, old in zip(out.head.get("images", []), glb.head.get("images", [])):
-        image["bufferView"] = out.add(bytes(glb.view(old["bufferView"])))
-    for mesh in out.head["meshes"]:
-        for primitive in mesh["primitives"]:
-            attributes, faces = glb.primitive(primitive)
-            attributes["POSITION"] = attributes["POSITION"] * scale
-            primitive.pop("extensions", None)
-            primitive.update(_write_plain(out, attributes, faces))
-    out.write(target)
-
-
 def pack(source: Path, target: Path, folder: Path, *, images: str = "png", geometry: str = "none", factor: int = 1,
          progress: core.Progress | None = None, **job: Any) -> dict:
     """Writes a GLB file as another one. images: "jpeg" makes JPEG files of colours, occlusion, roughness and metal
@@ -365,7 +360,7 @@ def pack(source: Path, target: Path, folder: Path, *, images: str = "png", geome
     of a side that become one. folder: for temporary files. Returns what that loses: of images by names, and how far
     the surfaces before and after are from each other."""
     glb = Glb(source)
-    out = _Writer(copy.deepcopy(glb.head))
+    out = Writer(copy.deepcopy(glb.head))
     lost = _pack_images(glb, out, folder, images, factor, {**job, "progress": progress})
     _pack_geometry(glb, out, geometry)
     out.write(target)
@@ -376,23 +371,19 @@ def pack(source: Path, target: Path, folder: Path, *, images: str = "png", geome
     return found
 
 
-def packed(steps: Any, level: dict, source: Path, job: dict) -> tuple[dict[Path, Path], Path, dict]:
+def packed(steps: Any, level: dict, source: Path, job: dict) -> tuple[dict[Path, Path], dict]:
     """Packs the GLB file of a level in a step, once for each of its outputs, whose images have sizes of their own.
-    Returns the files by outputs, one with the geometry of the first as bake() writes it, and what packing lost by
-    the names of outputs."""
+    Returns the files by outputs, and what packing lost by the names of outputs."""
     how = {"images": level["images"], "geometry": level["geometry"]}
     if how == {"images": "png", "geometry": "none"} and [size for size, _ in level["outputs"]] == [level["size"]]:
-        return {level["outputs"][0][1]: source}, source, {}
+        return {level["outputs"][0][1]: source}, {}
     files = {path: source.with_name(f"packed_{size}.glb") for size, path in level["outputs"]}
-    plain = source.with_name("unpacked.glb")
 
     def make() -> dict:
-        found = {path.name: pack(source, files[path], source.parent, factor=level["size"] // size, **how,
-                                 progress=steps.report, **job) for size, path in level["outputs"]}
-        unpack(next(iter(files.values())), plain)
-        return found
+        return {path.name: pack(source, files[path], source.parent, factor=level["size"] // size, **how,
+                                progress=steps.report, **job) for size, path in level["outputs"]}
 
     options = {**how, "sizes": [size for size, _ in level["outputs"]], "names": [path.name for path in files]}
     if how["geometry"] == "draco":
         options["version"] = metadata.version("DracoPy")
-    return files, plain, steps.run(f"pack {level['name']}", [source], options, [*files.values(), plain], make)
+    return files, steps.run(f"pack {level['name']}", [source], options, list(files.values()), make)

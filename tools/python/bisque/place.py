@@ -2,17 +2,15 @@
 the GLB file gets a node that turns and scales it to what glTF has: y upwards, metres."""
 from __future__ import annotations
 
-import json
 import os
 import re
-import shutil
-import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .mesh import Error, Mesh, parse_amount
+from .glb import Glb, write_glb
+from .mesh import Mesh, parse_amount
 
 UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254}
 _H = 0.5 ** 0.5
@@ -73,23 +71,15 @@ def _product(a: tuple, b: tuple) -> list[float]:
 def place_glb(source: Path, target: Path, up: str, scale: float, both_sides: bool) -> None:
     """Writes a GLB file whose nodes are turned and scaled, and whose materials show both sides on request. Raises
     Error."""
-    with open(source, "rb") as file, open(target, "wb") as out:
-        magic, version, _, length, kind = struct.unpack("<5I", file.read(20))
-        if magic != 0x46546C67 or kind != 0x4E4F534A:
-            raise Error(65, f"{source}: not a GLB file")
-        head = json.loads(file.read(length))
-        for number in head["scenes"][head.get("scene", 0)]["nodes"]:
-            node = head["nodes"][number]
-            node["translation"] = (scale * _turn(UP[up], node.get("translation", (0, 0, 0)))).tolist()
-            node["rotation"] = _product(UP[up], node.get("rotation", (0, 0, 0, 1)))
-            node["scale"] = [scale * s for s in node.get("scale", (1, 1, 1))]
-        for material in head.get("materials", []) if both_sides else []:
-            material["doubleSided"] = True
-        text = json.dumps(head, separators=(",", ":")).encode()
-        text += b" " * (-len(text) % 4)
-        rest = os.fstat(file.fileno()).st_size - 20 - length
-        out.write(struct.pack("<5I", magic, version, 20 + len(text) + rest, len(text), kind) + text)
-        shutil.copyfileobj(file, out, 1 << 20)
+    glb = Glb(source)
+    for number in glb.head["scenes"][glb.head.get("scene", 0)]["nodes"]:
+        node = glb.head["nodes"][number]
+        node["translation"] = (scale * _turn(UP[up], node.get("translation", (0, 0, 0)))).tolist()
+        node["rotation"] = _product(UP[up], node.get("rotation", (0, 0, 0, 1)))
+        node["scale"] = [scale * s for s in node.get("scale", (1, 1, 1))]
+    for material in glb.head.get("materials", []) if both_sides else []:
+        material["doubleSided"] = True
+    write_glb(target, glb.head, [glb.data], len(glb.data))
 
 
 def placed(steps: Any, level: dict, source: Path, low: Mesh, guess: str | None) -> tuple[Path, dict]:

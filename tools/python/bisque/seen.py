@@ -5,15 +5,13 @@ GLB file is drawn here as glTF 2.0 says: triangles that face the viewer, normals
 interpolated, and images of 8 bits, filtered bilinearly."""
 from __future__ import annotations
 
-import json
-import os
-import struct
 from pathlib import Path
 from typing import Any, Sequence
 
 import numpy as np
 
 from . import core
+from .glb import Glb
 from .images import srgb, write_png
 from .mesh import Error, Mesh
 
@@ -72,45 +70,30 @@ def _picture(views: np.ndarray) -> np.ndarray:
 
 
 def read_glb(path: Path, folder: Path) -> dict:
-    """Reads the mesh of a GLB file as bake() writes it: p, n, t and uv of the corners of each triangle, and by
-    the names of maps what shows them: the file of an image, which is written to the folder, a component of it (3:
-    alpha; None: all), and a factor."""
-    with open(path, "rb") as file:
-        file.seek(12)
-        length, = struct.unpack("<I", file.read(8)[:4])
-        head, start = json.loads(file.read(length)), 28 + length
+    """Reads a mesh of a GLB file of Bisque: p, n, t and uv of the corners of each triangle, and by the names of
+    maps what shows them: the file of an image, which is written to the folder, a component of it (3: alpha; None:
+    all), and a factor."""
+    glb = Glb(path)
 
-        def view(number: int) -> bytes:
-            where = head["bufferViews"][number]
-            file.seek(start + where.get("byteOffset", 0))
-            return file.read(where["byteLength"])
+    def image(reference: dict) -> str:
+        found = Path(folder) / f"{glb.image_number(reference)}.png"
+        found.write_bytes(glb.image(reference))
+        return str(found)
 
-        def image(reference: dict) -> str:
-            number = head["textures"][reference["index"]]["source"]
-            where, found = head["bufferViews"][head["images"][number]["bufferView"]], f"{folder}/{number}.png"
-            at, end = (start + where["byteOffset"] + more for more in (0, where["byteLength"]))
-            with open(found, "wb") as out:
-                while at < end:
-                    at += os.sendfile(out.fileno(), file.fileno(), at, end - at)
-            return found
-
-        primitive, = head["meshes"][0]["primitives"]
-        attributes = {name: head["accessors"][number] for name, number in primitive["attributes"].items()}
-        index = head["accessors"][primitive["indices"]]
-        faces = np.frombuffer(view(index["bufferView"]), "<u4").reshape(-1, 3)
-        rows = np.frombuffer(view(attributes["POSITION"]["bufferView"]), "<f4").reshape(
-            attributes["POSITION"]["count"], -1)
-        corners = [rows[faces, attributes[name]["byteOffset"] // 4:][:, :, :count].astype(np.float64)
-                   for name, count in (("POSITION", 3), ("NORMAL", 3), ("TANGENT", 4), ("TEXCOORD_0", 2))]
-        material = head["materials"][primitive.get("material", 0)]
-        material.update(material["pbrMetallicRoughness"])
-        strength = material.get("extensions", {}).get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1)
-        corners[0] += head["nodes"][0]["translation"]
-        shows = {name: (image(material[texture]), component, strength if name == "emission" else 1)
-                 for name, (texture, component) in TEXTURES.items() if texture in material}
-        if "alphaMode" not in material:
-            shows.pop("opacity", None)
-        return {**dict(zip(("p", "n", "t", "uv"), corners)), "shows": shows}
+    primitive, = glb.head["meshes"][0]["primitives"]
+    attributes, faces = glb.primitive(primitive)
+    corners = {key: attributes[name][faces]
+               for key, name in (("p", "POSITION"), ("n", "NORMAL"), ("t", "TANGENT"), ("uv", "TEXCOORD_0"))}
+    node = glb.head["nodes"][0]
+    corners["p"] = corners["p"] * node.get("scale", 1) + node["translation"]
+    material = glb.head["materials"][primitive.get("material", 0)]
+    material.update(material["pbrMetallicRoughness"])
+    strength = material.get("extensions", {}).get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1)
+    shows = {name: (image(material[texture]), component, strength if name == "emission" else 1)
+             for name, (texture, component) in TEXTURES.items() if texture in material}
+    if "alphaMode" not in material:
+        shows.pop("opacity", None)
+    return {**corners, "shows": shows}
 
 
 def _draw(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

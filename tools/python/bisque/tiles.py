@@ -15,11 +15,11 @@ from typing import Any, Iterator
 
 import numpy as np
 
-from . import core, tile_glb, uv
+from . import core, uv
 from .asset import PUBLISHED, check_library, lost_of, older_files, publish, sorted_scan, versions
 from .core import Error
 from .cut import Tile, add_skirt, divide, read_level
-from .glb import Glb
+from .glb import Glb, Writer, write_plain
 from .mesh import Mesh, check_triangles, parse_amount, parse_texels
 from .place import check_options, matrix_of, unit_of
 from .steps import WEIGHTS, Folder, Steps
@@ -33,6 +33,8 @@ THREE = Path("/usr/share/javascript/three")
 SCRIPTS = ("build/three.min.js", "examples/js/controls/OrbitControls.js", "examples/js/loaders/GLTFLoader.js")
 #: Tiles whose maps are baked in one sweep over the scan.
 BATCH = 64
+#: Columns of rows of vertices.
+COLUMNS = (("POSITION", 0, 3), ("NORMAL", 3, 6), ("TANGENT", 6, 10), ("TEXCOORD_0", 10, 12))
 #: Triangles of a level to those of the next coarser one.
 FACTOR = 4
 
@@ -63,10 +65,10 @@ def _finish_tile(tile: Tile, baked: Glb, number: int, width: float, path: Path) 
     """Writes the GLB file of a tile, primitive `number` of a baked one. Returns what is known of it."""
     root = baked.head
     primitive = root["meshes"][0]["primitives"][number]
-    rows, faces = tile_glb.rows_of(baked, primitive)
+    attributes, faces = baked.primitive(primitive)
     if len(faces) != len(tile.part.faces):
         raise Error(70, f"tile {tile.name}: {len(faces)} triangles of {len(tile.part.faces)} were baked")
-    rows = rows.copy()
+    rows = np.concatenate([attributes[name] for name, _, _ in COLUMNS], axis=1).astype(np.float32)
     rows[faces.ravel(), :6] = tile.part.points[tile.part.faces.ravel(), :6]  # relative to the origin of all tiles
     rows, faces = add_skirt(tile, rows, faces, width)
     material = root["materials"][primitive["material"]]
@@ -75,7 +77,15 @@ def _finish_tile(tile: Tile, baked: Glb, number: int, width: float, path: Path) 
         images.append(baked.image(slot))
         slot["index"] = len(images) - 1
     material["name"] = tile.name
-    tile_glb.write(path, f"Bisque {core.version()}", rows, faces, material, images, root.get("samplers", [None])[0])
+    out = Writer({"asset": {"version": "2.0", "generator": f"Bisque {core.version()}"}, "scene": 0,
+                  "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "materials": [material]})
+    shape = write_plain(out, {name: rows[:, first:end] for name, first, end in COLUMNS}, faces)
+    out.head["meshes"] = [{"primitives": [{**shape, "mode": 4, "material": 0}]}]
+    if images:
+        out.head.update(samplers=root["samplers"][:1],
+                        textures=[{"source": i, "sampler": 0} for i in range(len(images))],
+                        images=[{"bufferView": out.add(image), "mimeType": "image/png"} for image in images])
+    out.write(path)
     return {"low": rows[:, :3].min(axis=0).tolist(), "high": rows[:, :3].max(axis=0).tolist(),
             "skirt_triangles": len(faces) - len(tile.part.faces)}
 
