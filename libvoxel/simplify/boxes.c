@@ -23,15 +23,12 @@ static bool touches(const struct vox_boxes *boxes, uint32_t number, const float 
     return true;
 }
 
-static bool triangle_touches(const struct vox_boxes *boxes, uint32_t number,
-                             const float *const corners[3])
+static void bound_corners(const float *const corners[3], float low[3], float high[3])
 {
-    float low[3], high[3];
     for (int k = 0; k < 3; k++) {
         low[k] = fminf(corners[0][k], fminf(corners[1][k], corners[2][k]));
         high[k] = fmaxf(corners[0][k], fmaxf(corners[1][k], corners[2][k]));
     }
-    return touches(boxes, number, low, high);
 }
 
 /* Raises what is known of a box by a triangle. */
@@ -80,8 +77,10 @@ int vox_boxes_add_chunk(const struct vox_measuring *m, uint64_t index,
     for (uint32_t t = 0; t < chunk->triangle_count; t++) {
         const uint32_t *v = chunk->triangles[t];
         const float *const corners[3] = {positions[v[0]], positions[v[1]], positions[v[2]]};
+        float low[3], high[3];
+        bound_corners(corners, low, high);
         for (uint32_t i = 0; i < count; i++)
-            if (triangle_touches(&m->boxes, list[i].number, corners))
+            if (touches(&m->boxes, list[i].number, low, high))
                 add_triangle(m, of, corners, v, &list[i].bound);
         if (t % 4096 == 0)
             BSQ_TRY(bsq_check(m->ctx));
@@ -109,11 +108,16 @@ void vox_boxes_end(struct vox_measuring *m)
         const uint64_t bits = m->boxes.most[i];
         memcpy(&box->from_scan, &bits, sizeof bits);
         box->from_mesh = 0;
-        for (uint32_t t = 0; t < m->mesh->triangle_count; t++) {
-            const float *corners[3];
-            vox_closest_corners(&m->tree, t, corners);
-            if (m->bounds[t] > box->from_mesh && triangle_touches(&m->boxes, i, corners))
-                box->from_mesh = m->bounds[t];
+    }
+    for (uint32_t t = 0; t < m->mesh->triangle_count && m->boxes.count > 0; t++) {
+        const float *corners[3];
+        float low[3], high[3];
+        vox_closest_corners(&m->tree, t, corners);
+        bound_corners(corners, low, high);
+        for (uint32_t i = 0; i < m->boxes.count; i++) {
+            double *most = &m->boxes.list[i].from_mesh;
+            if (m->bounds[t] > *most && touches(&m->boxes, i, low, high))
+                *most = m->bounds[t];
         }
     }
 }
