@@ -43,6 +43,15 @@ static struct cli_text format_amount(const char *unit, uint64_t amount)
     return out;
 }
 
+/* Returns what follows an amount: " triangles", nothing for bytes. */
+static struct cli_text format_unit(const char *unit)
+{
+    struct cli_text out = {""};
+    if (strcmp(unit, "bytes") != 0)
+        snprintf(out.text, CLI_TEXT, " %s", unit);
+    return out;
+}
+
 /* Returns "  1:23 left", or nothing if that is not known. */
 static struct cli_text format_remaining(const struct cli *cli, const struct bsq_progress *progress)
 {
@@ -63,9 +72,8 @@ static struct cli_text format_remaining(const struct cli *cli, const struct bsq_
 static void draw_bar(struct cli *cli, const struct bsq_progress *progress)
 {
     char line[512], cells[BAR_CELLS + 1];
-    bool bytes = strcmp(progress->unit, "bytes") == 0;
-    const char *unit = bytes ? "" : progress->unit, *space = bytes ? "" : " ";
     const struct cli_text done = format_amount(progress->unit, progress->done);
+    const struct cli_text unit = format_unit(progress->unit);
     if (progress->total > 0) {
         double fraction = (double)progress->done / (double)progress->total;
         fraction = fraction > 1 ? 1 : fraction;
@@ -73,11 +81,11 @@ static void draw_bar(struct cli *cli, const struct bsq_progress *progress)
         memset(cells, '=', filled);
         memset(cells + filled, ' ', BAR_CELLS - filled);
         cells[BAR_CELLS] = '\0';
-        snprintf(line, sizeof line, "%-11s [%s] %3.0f %%  %s of %s%s%s%s", progress->stage, cells,
+        snprintf(line, sizeof line, "%-11s [%s] %3.0f %%  %s of %s%s%s", progress->stage, cells,
                  fraction * 100, done.text, format_amount(progress->unit, progress->total).text,
-                 space, unit, format_remaining(cli, progress).text);
+                 unit.text, format_remaining(cli, progress).text);
     } else {
-        snprintf(line, sizeof line, "%-11s %s%s%s", progress->stage, done.text, space, unit);
+        snprintf(line, sizeof line, "%-11s %s%s", progress->stage, done.text, unit.text);
     }
     fprintf(stderr, "\r%.*s\033[K", terminal_columns() - 1, line);
     cli->bar_drawn = true;
@@ -96,7 +104,7 @@ static void log_line(struct cli *cli, const struct bsq_progress *progress)
     else
         fprintf(stderr, "%s: %s: %s%s\n", cli->program, progress->stage,
                 format_amount(progress->unit, progress->done).text,
-                strcmp(progress->unit, "bytes") == 0 ? "" : progress->unit);
+                format_unit(progress->unit).text);
 }
 
 static void print_json_line(const struct bsq_progress *progress)

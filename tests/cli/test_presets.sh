@@ -147,6 +147,8 @@ else
     ok fast bisque-bake scan.nvdb low.obj --size 256 --maps ao --threads 1 --device cpu -o long.exr
     grep -Eq "^$p tracing: [0-9]+ %" "$err"
     check "a line now and then without a terminal" $?
+    ok fast bisque-simplify low.obj -o all.ply --triangles 1000000
+    holds "a line without a share has a unit" grep -qx "bisque-simplify: collapsing edges: 0 triangles" "$err"
     ok fast bisque-bake scan.nvdb low.obj --size 256 --maps ao --threads 1 --device cpu -o long.exr --progress none
     holds "and none if none is asked for" [ ! -s "$err" ]
 fi
