@@ -38,7 +38,7 @@ if [ -s "$ptx" ]; then
     json '.kernel_calls > 6'
     warned=0
     for call in cuCtxSetCurrent cuMemAlloc_v2 cuMemcpyHtoDAsync_v2 cuEventRecord cuEventSynchronize \
-        cuStreamSynchronize cuLaunchKernel cuStreamQuery cuMemcpyDtoHAsync_v2 cuEventElapsedTime; do
+        cuLaunchKernel cuStreamQuery cuMemcpyDtoHAsync_v2 cuEventElapsedTime; do
         for number in 1 7; do
             FAKE_CUDA_FAIL=$call:$number:719 cuda --device auto $maps -o 'x_<MAP>.exr'
             survives "$call:$number"
@@ -64,7 +64,7 @@ if [ -n "$FAKE_OPENCL_REAL" ] && opencl --list devices && grep -q '^opencl:0' "$
     warned=0
     for failure in clCreateContext:1 clBuildProgram:1 clCreateBuffer:7 clEnqueueWriteBuffer:7 \
         clWaitForEvents:7 clSetKernelArg:7 clEnqueueNDRangeKernel:2 clEnqueueReadBuffer:2 \
-        clGetEventProfilingInfo:7 clFinish:3; do
+        clGetEventProfilingInfo:7 clGetEventInfo:7; do
         FAKE_OPENCL_FAIL=$failure:-5 opencl --device auto $maps -o 'x_<MAP>.exr'
         survives "$failure"
     done

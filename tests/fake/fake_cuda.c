@@ -5,6 +5,7 @@
  *  - streams must not use the same memory without waiting for each other, unless all only read;
  *  - device addresses are no host addresses, and copies must stay inside allocations;
  *  - the host's side of a copy must be page-locked; a driver would silently wait;
+ *  - threads must sleep while they wait for an event;
  *  - a stream must be asked about a launch before its next launch, as WSL needs;
  *  - a thread without a context can do nothing, not even free;
  *  - the first launch takes a 32nd of the memory, as for spilled registers;

@@ -19,6 +19,7 @@ struct CUstream_st {
 struct CUevent_st {
     CUstream stream; /* that it was recorded on */
     int pending;
+    bool blocking; /* waiting threads sleep */
     double at;
 };
 
@@ -140,13 +141,6 @@ CUresult cuStreamQuery(CUstream stream)
     return pending ? NOT_READY : CUDA_SUCCESS;
 }
 
-CUresult cuStreamSynchronize(CUstream stream)
-{
-    run_stream(stream, NULL);
-    BEGIN_IN_CONTEXT;
-    return CUDA_SUCCESS;
-}
-
 CUresult cuStreamDestroy_v2(CUstream stream)
 {
     NEED_CONTEXT;
@@ -199,6 +193,7 @@ CUresult cuEventCreate(CUevent *event, unsigned flags)
 {
     BEGIN_IN_CONTEXT;
     *event = calloc(1, sizeof **event);
+    (*event)->blocking = flags & CU_EVENT_BLOCKING_SYNC;
     fake_count_live(1);
     return flags <= CU_EVENT_BLOCKING_SYNC ? CUDA_SUCCESS : INVALID_VALUE;
 }
@@ -223,10 +218,13 @@ CUresult cuEventRecord(CUevent event, CUstream stream)
 
 CUresult cuEventSynchronize(CUevent event)
 {
+    const bool busy = event->pending && !event->blocking;
     if (event->pending)
         run_stream(event->stream, event);
     BEGIN_IN_CONTEXT;
-    return CUDA_SUCCESS;
+    if (busy)
+        fputs("fake CUDA: a thread waits busily\n", stderr);
+    return busy ? INVALID_VALUE : CUDA_SUCCESS;
 }
 
 CUresult cuEventElapsedTime(float *milliseconds, CUevent from, CUevent to)

@@ -4,7 +4,8 @@
  *  - FAKE_OPENCL_MEMORY=BYTES: memory of each device (1 GiB);
  *  - FAKE_OPENCL_FAIL=CALL:N:CODE: the Nth call of a function fails with CODE, and so do all later
  *    calls that do work, as on a GPU that was lost; with CALL:N:CODE:once, later calls work.
- * An event has times only after a wait for that event, as with NVIDIA's driver. */
+ * As with NVIDIA's driver, an event has times only after a wait for that event, and threads must
+ * not wait for one before it is complete, which would keep a processor busy. */
 #define CL_TARGET_OPENCL_VERSION 120
 #include <CL/cl.h>
 #include <dlfcn.h>
@@ -135,6 +136,9 @@ CODE(clEnqueueNDRangeKernel,
      (cl_command_queue queue, cl_kernel kernel, cl_uint sides, const size_t *at,
       const size_t *items, const size_t *group, WAIT),
      (queue, kernel, sides, at, items, group, WAIT_))
+CODE(clGetEventInfo,
+     (cl_event event, cl_event_info what, size_t bytes, void *out, size_t *needed),
+     (event, what, bytes, out, needed))
 CODE(clFlush, (cl_command_queue queue), (queue))
 ALWAYS(clEnqueueUnmapMemObject,
        (cl_command_queue queue, cl_mem memory, void *at, WAIT), (queue, memory, at, WAIT_))
@@ -159,6 +163,16 @@ CL_API_ENTRY cl_int CL_API_CALL clWaitForEvents(cl_uint n, const cl_event *event
 {
     cl_int code = begin("clWaitForEvents");
 
+    for (cl_uint i = 0; i < n; i++) {
+        cl_int state = CL_COMPLETE;
+        if (!code)
+            code = ((__typeof__(clGetEventInfo) *)find("clGetEventInfo"))(
+                events[i], CL_EVENT_COMMAND_EXECUTION_STATUS, sizeof state, &state, NULL);
+        if (!code && state > CL_COMPLETE) {
+            fputs("fake OpenCL: a thread waits busily\n", stderr);
+            code = CL_INVALID_OPERATION;
+        }
+    }
     if (!code)
         code = ((__typeof__(clWaitForEvents) *)find("clWaitForEvents"))(n, events);
     pthread_mutex_lock(&lock);

@@ -91,14 +91,24 @@ static struct bake_failure free_memory(const struct cuda *cuda, uint64_t *out)
 
 /* ---- streams ---- */
 
+/* Waits for all work of a stream, asleep: cuStreamSynchronize() would keep a processor busy. */
+static struct bake_failure cuda_finish(struct bake_gpu *gpu, struct bake_stream *stream)
+{
+    struct cuda *cuda = (struct cuda *)gpu;
+    struct stream *own = stream->own;
+    CALL(cuEventRecord, own->before, own->stream);
+    CALL(cuEventSynchronize, own->before);
+    return BAKE_NO_FAILURE;
+}
+
 static void cuda_close_stream(struct bake_gpu *gpu, struct bake_stream *stream)
 {
     const struct bake_cuda_api *api = &((struct cuda *)gpu)->api;
     struct stream *own = stream->own;
-    if (own->stream) {
-        api->cuStreamSynchronize(own->stream);
+    if (own->before)
+        (void)cuda_finish(gpu, stream);
+    if (own->stream)
         api->cuStreamDestroy(own->stream);
-    }
     for (int i = 0; i <= BAKE_STEPS; i++)
         if (own->events[i])
             api->cuEventDestroy(own->events[i]);
@@ -130,8 +140,7 @@ static struct bake_failure cuda_open_stream(struct bake_gpu *gpu, struct bake_st
     for (int i = 0; i <= BAKE_STEPS; i++)
         CALL(cuEventCreate, &own->events[i], CU_EVENT_BLOCKING_SYNC);
     CALL(cuEventCreate, &own->before, CU_EVENT_BLOCKING_SYNC);
-    CALL(cuEventRecord, own->before, own->stream);
-    CALL(cuEventSynchronize, own->before);
+    BAKE_TRY_CALL(cuda_finish(gpu, stream));
     for (unsigned i = 0; i < stream->host_count; i++)
         CALL(cuMemAllocHost, (void **)&stream->host[i], stream->host_bytes);
     return elapsed(cuda, cuda->origin, own->before, &own->before_time);
@@ -166,13 +175,6 @@ static struct bake_failure cuda_wait(struct bake_gpu *gpu, struct bake_stream *s
 {
     struct cuda *cuda = (struct cuda *)gpu;
     CALL(cuEventSynchronize, ((struct stream *)stream->own)->events[step + 1]);
-    return BAKE_NO_FAILURE;
-}
-
-static struct bake_failure cuda_finish(struct bake_gpu *gpu, struct bake_stream *stream)
-{
-    struct cuda *cuda = (struct cuda *)gpu;
-    CALL(cuStreamSynchronize, ((struct stream *)stream->own)->stream);
     return BAKE_NO_FAILURE;
 }
 
@@ -335,7 +337,7 @@ static struct bake_failure cuda_open_context(struct cuda *cuda)
     CALL(cuDevicePrimaryCtxRetain, &context, cuda->device.device);
     cuda->context = context;
     CALL(cuCtxSetCurrent, cuda->context);
-    CALL(cuEventCreate, &cuda->origin, 0);
+    CALL(cuEventCreate, &cuda->origin, CU_EVENT_BLOCKING_SYNC);
     CALL(cuEventRecord, cuda->origin, NULL);
     CALL(cuEventSynchronize, cuda->origin); /* nothing else uses the default stream */
     return BAKE_NO_FAILURE;

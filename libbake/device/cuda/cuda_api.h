@@ -76,7 +76,6 @@ enum {
       (void *to, CUdeviceptr from, size_t bytes, CUstream stream))                                 \
     X(cuStreamCreate, cuStreamCreate, (CUstream * stream, unsigned flags))                         \
     X(cuStreamQuery, cuStreamQuery, (CUstream stream))                                             \
-    X(cuStreamSynchronize, cuStreamSynchronize, (CUstream stream))                                 \
     X(cuStreamDestroy, cuStreamDestroy_v2, (CUstream stream))                                      \
     X(cuEventCreate, cuEventCreate, (CUevent * event, unsigned flags))                             \
     X(cuEventRecord, cuEventRecord, (CUevent event, CUstream stream))                              \

@@ -34,6 +34,7 @@
     X(clEnqueueReadBuffer)                                                                         \
     X(clEnqueueNDRangeKernel)                                                                      \
     X(clWaitForEvents)                                                                             \
+    X(clGetEventInfo)                                                                              \
     X(clReleaseEvent)                                                                              \
     X(clGetEventProfilingInfo)                                                                     \
     X(clFlush)                                                                                     \

@@ -296,14 +296,11 @@ FIXTURE_TEST(test_small_device)
 /* Each call that opens the device fails in turn; nothing is leaked. */
 FIXTURE_TEST(test_opening_fails)
 {
-    static const char *const calls[] = {"cuDeviceGet",         "cuDeviceGetName",
-                                        "cuDeviceTotalMem_v2", "cuDeviceGetAttribute",
-                                        "cuCtxSetCurrent",     "cuMemGetInfo_v2",
-                                        "cuModuleGetFunction", "cuStreamCreate",
-                                        "cuEventCreate",       "cuMemAllocHost_v2",
-                                        "cuMemAlloc_v2",       "cuMemcpyHtoDAsync_v2",
-                                        "cuEventRecord",       "cuStreamSynchronize",
-                                        "cuEventSynchronize",  "cuDevicePrimaryCtxRetain"};
+    static const char *const calls[] = {
+        "cuDeviceGet",     "cuDeviceGetName",    "cuDeviceTotalMem_v2",     "cuDeviceGetAttribute",
+        "cuCtxSetCurrent", "cuMemGetInfo_v2",    "cuModuleGetFunction",     "cuStreamCreate",
+        "cuEventCreate",   "cuMemAllocHost_v2",  "cuMemAlloc_v2",           "cuMemcpyHtoDAsync_v2",
+        "cuEventRecord",   "cuEventSynchronize", "cuDevicePrimaryCtxRetain"};
     struct fixture *f = *state;
     int (*live)(void) = (int (*)(void))dlsym(dlopen("libcuda.so.1", RTLD_NOW), "fake_cuda_live");
     struct bake_device *device;
