@@ -41,7 +41,8 @@ struct probe {
 struct work {
     struct bsq_ctx *ctx;
     const struct bake_curvature *curvature;
-    struct bake_curvature_counts *counts;
+    struct bake_curvature_counts counts;
+    unsigned worker; /* that does it, with a device; without one, all do it together */
     uint32_t channels;
     uint64_t most; /* texels that are traced together */
     /* Of these texels, which follow each other in the image: */
@@ -132,6 +133,15 @@ struct task {
     const uint32_t *probes;
 };
 
+/* Runs a step for [0, count) on the threads that do the work. */
+static int run_step(const struct work *work, uint64_t count, uint64_t step,
+                    int (*fn)(void *arg, uint64_t begin, uint64_t end, unsigned worker), void *arg)
+{
+    if (!work->curvature->device)
+        return bsq_parallel_ranges(work->ctx, count, step, fn, arg);
+    return fn(arg, 0, count, work->worker);
+}
+
 static int cast_probes(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     (void)worker;
@@ -162,6 +172,15 @@ static int take_probes(void *arg, uint64_t begin, uint64_t end, unsigned worker)
     return 0;
 }
 
+static int curvature_trace_rays(const struct work *work, const struct bake_surface_rays *rays)
+{
+    const struct bake_curvature *curvature = work->curvature;
+    if (!curvature->device)
+        return bake_surface_trace(curvature->surface, rays);
+    return bake_device_trace_rays(curvature->device, &rays->batch, curvature->surface->unit,
+                                  work->worker);
+}
+
 /* Traces the probes of valid texels that have found nothing yet. range: how far their rays reach on
  * either side. */
 static int trace_missing(struct work *work, uint64_t texels, uint32_t each, double range)
@@ -181,9 +200,9 @@ static int trace_missing(struct work *work, uint64_t texels, uint32_t each, doub
                                                          .t_min = -range,
                                                          .t_max = range},
                                                .objects = work->ray_objects};
-        BSQ_PASS(bsq_parallel_ranges(work->ctx, count, PROBES_A_TASK, cast_probes, &task));
-        BSQ_PASS(bake_surface_trace(work->curvature->surface, &rays));
-        BSQ_PASS(bsq_parallel_ranges(work->ctx, count, PROBES_A_TASK, take_probes, &task));
+        BSQ_PASS(run_step(work, count, PROBES_A_TASK, cast_probes, &task));
+        BSQ_PASS(curvature_trace_rays(work, &rays));
+        BSQ_PASS(run_step(work, count, PROBES_A_TASK, take_probes, &task));
     }
     return 0;
 }
@@ -217,14 +236,14 @@ static float curvature_of(const struct work *work, uint64_t texel)
 }
 
 /* Counts the texels with hits, and those of which no ray around the hit found the scan. */
-static void curvature_count_texels(const struct work *work, uint64_t texels)
+static void curvature_count_texels(struct work *work, uint64_t texels)
 {
     for (uint64_t i = 0; i < texels; ++i) {
         bool found = false;
         for (uint32_t k = 0; k < PROBES; ++k)
             found |= work->probes[i * PROBES + k].found;
-        work->counts->texels += curvature_is_valid(work, i);
-        work->counts->alone += curvature_is_valid(work, i) && !found;
+        work->counts.texels += curvature_is_valid(work, i);
+        work->counts.alone += curvature_is_valid(work, i) && !found;
     }
 }
 
@@ -240,48 +259,69 @@ static int resolve_texels(void *arg, uint64_t begin, uint64_t end, unsigned work
 
 /* ---- texels that are traced together ---- */
 
-/* Traces whole rows of the image, or a part of one row. */
-static int trace_texels(struct work *work, uint32_t x, uint32_t y, uint32_t width, uint32_t rows)
+static int trace_texels(struct work *work, uint64_t texels)
 {
     const struct bake_curvature *curvature = work->curvature;
-    const uint64_t texels = (uint64_t)width * rows;
     memset(work->probes, 0, texels * PROBES * sizeof *work->probes);
-    if (work->objects)
-        BSQ_PASS(curvature->objects(curvature->objects_arg, x, y, width, rows, work->objects));
     BSQ_PASS(trace_missing(work, texels, 1, curvature->radius));
     BSQ_PASS(trace_missing(work, texels, 2, sqrt(2.0) * curvature->radius));
     curvature_count_texels(work, texels);
-    BSQ_PASS(bsq_parallel_ranges(work->ctx, texels, TEXELS_A_TASK, resolve_texels, work));
+    BSQ_PASS(run_step(work, texels, TEXELS_A_TASK, resolve_texels, work));
     BSQ_PASS(bake_surface_check(curvature->surface));
     bsq_progress_add(work->ctx, texels);
     return 0;
 }
 
+/* Traces rows on all threads together: all at once, or parts of the only row. */
 static int trace_band(void *arg, uint32_t first_row, uint32_t rows, float *texels)
 {
     struct work *work = arg;
-    const uint32_t width = work->curvature->image->width;
-    const uint32_t columns = work->most < width ? (uint32_t)work->most : width;
-    for (uint32_t x = 0; x < width; x += columns) {
+    const struct bake_curvature *curvature = work->curvature;
+    const uint32_t width = curvature->image->width;
+    const uint32_t most = work->most < width ? (uint32_t)work->most : width;
+    for (uint32_t x = 0; x < width; x += most) {
+        const uint32_t columns = width - x < most ? width - x : most;
         work->texels = texels + (size_t)x * work->channels;
-        BSQ_PASS(trace_texels(work, x, first_row, width - x < columns ? width - x : columns, rows));
+        if (work->objects)
+            BSQ_PASS(curvature->objects(curvature->objects_arg, x, first_row, columns, rows,
+                                        work->objects));
+        BSQ_PASS(trace_texels(work, (uint64_t)columns * rows));
     }
     return 0;
 }
 
+/* Rows whose texels each worker traces by itself. */
+struct band {
+    struct work *works;
+    float *texels;
+};
+
+static int trace_part(void *arg, uint64_t begin, uint64_t end, unsigned worker)
+{
+    const struct band *band = arg;
+    struct work *work = &band->works[worker];
+    work->texels = band->texels + begin * work->channels;
+    return trace_texels(work, end - begin);
+}
+
+static int trace_band_in_parts(void *arg, uint32_t first_row, uint32_t rows, float *texels)
+{
+    struct band band = {arg, texels};
+    (void)first_row;
+    return bsq_parallel_ranges(band.works->ctx,
+                               (uint64_t)band.works->curvature->image->width * rows,
+                               band.works->most, trace_part, &band);
+}
+
 /* ---- memory ---- */
 
-/* Allocates memory for the texels that are traced together. Half of the rays that a caller should
- * hold leave the other buffers enough of the budget. */
-static int curvature_allocate(struct work *work)
+/* Allocates memory for `most` texels that are traced together. */
+static int curvature_allocate(struct work *work, uint64_t most)
 {
-    const struct bake_image *image = work->curvature->image;
-    const uint64_t all = (uint64_t)image->width * image->height;
-    const uint64_t fitting = bake_surface_capacity(work->curvature->surface, 0) / 2 / PROBES;
     struct bsq_ctx *ctx = work->ctx;
-    work->channels = image->channels;
-    work->most = fitting < 1 ? 1 : fitting < all ? fitting : all;
-    const uint64_t rays = work->most * PROBES;
+    const uint64_t rays = most * PROBES;
+    work->channels = work->curvature->image->channels;
+    work->most = most;
     BSQ_PASS(BSQ_ALLOC(ctx, "rays", rays, &work->rays));
     BSQ_PASS(BSQ_ALLOC(ctx, "hits", rays, &work->hits));
     BSQ_PASS(BSQ_ALLOC(ctx, "points", rays, &work->probes));
@@ -295,20 +335,37 @@ static int curvature_allocate(struct work *work)
 int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *curvature,
                          struct bake_curvature_counts *counts)
 {
-    struct work work = {.ctx = ctx, .curvature = curvature, .counts = counts};
-    bsq_progress_begin(ctx, "measuring curvature", "texels",
-                       (uint64_t)curvature->image->width * curvature->image->height);
-    int status = 0;
-    BSQ_TRY(curvature_allocate(&work));
-    const uint64_t rows = work.most / curvature->image->width;
+    struct bake_device *device = curvature->device;
+    const uint64_t all = (uint64_t)curvature->image->width * curvature->image->height;
+    const unsigned works = device ? bsq_threads(ctx) : 1;
+    /* Half of the rays that a caller should hold leave the other buffers enough of the budget. */
+    uint64_t rays = bake_surface_capacity(curvature->surface, 0) / 2 / works;
+    if (device && rays > bake_device_most_rays(device))
+        rays = bake_device_most_rays(device);
+    const uint64_t most = rays < PROBES ? 1 : rays / PROBES < all ? rays / PROBES : all;
+    const uint64_t rows = device ? UINT32_MAX : most / curvature->image->width;
+    struct work *work;
+    int status;
+    bsq_progress_begin(ctx, "measuring curvature", "texels", all);
+    BSQ_TRY(BSQ_CALLOC(ctx, "workers", works, &work));
+    for (unsigned w = 0; w < works; w++) {
+        work[w] = (struct work){.ctx = ctx, .curvature = curvature, .worker = w};
+        BSQ_TRY(curvature_allocate(&work[w], most));
+    }
     status = bake_image_bands(ctx, curvature->image,
                               rows < 1            ? 1
                               : rows < UINT32_MAX ? (uint32_t)rows
                                                   : UINT32_MAX,
-                              true, trace_band, &work);
+                              true, device ? trace_band_in_parts : trace_band, work);
 done:
     bsq_progress_end(ctx);
-    BSQ_FREE(ctx, work.ray_objects, work.objects, work.listed, work.probes, work.hits, work.rays);
+    for (unsigned w = 0; work && w < works; w++) {
+        counts->texels += work[w].counts.texels;
+        counts->alone += work[w].counts.alone;
+        BSQ_FREE(ctx, work[w].ray_objects, work[w].objects, work[w].listed, work[w].probes,
+                 work[w].hits, work[w].rays);
+    }
+    bsq_free(ctx, work);
     return status;
 }
 

@@ -4,8 +4,8 @@
  * they lie on, a grid or triangles. Out: the same image with the curvature in the place of the
  * position's first coordinate.
  *
- * The result depends on the scans that a texel sees around its hit only, so charts, tiles, threads
- * and devices leave no trace in it. */
+ * The result depends on the scans that a texel sees around its hit only, so charts, tiles and
+ * threads leave no trace in it. */
 #ifndef BAKE_CURVATURE_CURVATURE_H
 #define BAKE_CURVATURE_CURVATURE_H
 
@@ -24,6 +24,8 @@ struct bake_curvature {
     /* Gives the objects of texels, if surface->sees tells which scans they see; else NULL. */
     bake_texel_objects *objects;
     const void *objects_arg;
+    /* Of a surface that is a single grid, the device that traces it; NULL: the processor does. */
+    struct bake_device *device;
 };
 
 struct bake_curvature_counts {
@@ -34,7 +36,7 @@ struct bake_curvature_counts {
 /* Computes the curvature of all valid texels on all threads, in 1 / world unit: positive where the
  * scan is convex. If only some of the rays around a hit find the scan, they give the value; if none
  * does, it is 0, and counted. Adds to *counts. Must not be called from parallel work. Errors: those
- * of bake_surface_trace() and bake_image_bands(); BSQ_ENOMEM. */
+ * of bake_surface_trace(), bake_device_trace_rays() and bake_image_bands(); BSQ_ENOMEM. */
 int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *curvature,
                          struct bake_curvature_counts *counts);
 

@@ -261,6 +261,47 @@ int bake_device_trace(struct bake_device *device, const struct bk_patch *patch,
     return bake_native_trace(device->native, patch, sample_triangles, texels, worker);
 }
 
+/* ---- single rays ---- */
+
+/* What the processor's caches hold. */
+enum { PROCESSOR_RAYS = 1 << 12 };
+
+uint32_t bake_device_most_rays(const struct bake_device *device)
+{
+    return device->gpu ? BAKE_GPU_RAYS : PROCESSOR_RAYS;
+}
+
+static void device_take_hits(const float *hits, double unit, const struct bake_ray_batch *batch)
+{
+    for (uint64_t i = 0; i < batch->count; i++, hits += BK_HIT_FLOATS) {
+        const bool found = hits[0] < BK_NOTHING;
+        batch->hits[i] =
+            (struct bake_hit){.triangle = found ? 0 : BAKE_NO_HIT, .t = (double)hits[0] * unit};
+        if (found)
+            memcpy(batch->hits[i].normal, hits + 1, sizeof batch->hits[i].normal);
+    }
+}
+
+int bake_device_trace_rays(struct bake_device *device, const struct bake_ray_batch *batch,
+                           double unit, unsigned worker)
+{
+    _Static_assert(sizeof *batch->rays == BK_RAY_FLOATS * sizeof(float), "devices read them");
+    char why[BAKE_WHY_BYTES] = "";
+    const float *hits;
+    if (device->gpu && !atomic_load(&device->lost)) {
+        const int status = bake_gpu_trace_rays(device->gpu, batch->rays->origin,
+                                               (uint32_t)batch->count, (float)(batch->t_min / unit),
+                                               (float)(batch->t_max / unit), &hits, worker, why);
+        if (status == 0)
+            device_take_hits(hits, unit, batch);
+        if (status == 0 || !fall_back(device, why))
+            return status == 0 ? 0
+                               : bsq_fail(device->ctx, status, "%s: %s", device->gpu->name, why);
+    }
+    bake_trace_rays(device->scene.grid, &device->scene.params, unit, batch, 0, batch->count);
+    return 0;
+}
+
 void bake_device_times(struct bake_device *device, struct bake_device_times *out)
 {
     *out = (struct bake_device_times){0};

@@ -31,6 +31,14 @@ const char *bake_device_name(const struct bake_device *device);
 int bake_device_trace(struct bake_device *device, const struct bk_patch *patch,
                       const uint32_t *sample_triangles, float *texels, unsigned worker);
 
+/* Traces single rays through the job's grid for a job with curvature, as bake_trace_rays() does,
+ * and sets the hits' t, triangle and normal; the batch asks for nothing else, and has at most
+ * bake_device_most_rays(). unit: of a voxel in world units. Workers call it as bake_device_trace().
+ */
+int bake_device_trace_rays(struct bake_device *device, const struct bake_ray_batch *batch,
+                           double unit, unsigned worker);
+uint32_t bake_device_most_rays(const struct bake_device *device);
+
 /* Returns what the device did so far; zeros for the processor. Must not be called while patches are
  * traced. */
 void bake_device_times(struct bake_device *device, struct bake_device_times *out);

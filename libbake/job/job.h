@@ -113,7 +113,8 @@ int bake_trace_curvature(struct bake_job *job);
  * BSQ_EDATA in a strict job. */
 int bake_warn_of_radius(struct bsq_ctx *ctx, const struct bake_curvature_counts *counts,
                         double radius);
-/* Frees what is needed for tracing only; may be called twice. */
+/* Tells the report what the device did, and frees what is needed for tracing only; may be called
+ * twice. */
 void bake_end_tracing(struct bake_job *job);
 
 /* ---- parts ---- */

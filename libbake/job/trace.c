@@ -134,17 +134,6 @@ static int fail_without_hit(const struct bake_job *job)
                                         "if the scan's faces are wound inwards");
 }
 
-static void note_device(struct bake_job *job)
-{
-    struct bake_device_times times;
-    snprintf(job->report->device, sizeof job->report->device, "%s", bake_device_name(job->device));
-    bake_device_times(job->device, &times);
-    job->report->seconds_upload = times.upload;
-    job->report->seconds_kernels = times.kernels;
-    job->report->seconds_copies = times.copies;
-    job->report->kernel_calls = times.launches;
-}
-
 /* Traces all samples of a tile into its image. Frees the raster, unless curvature needs objects of
  * texels. */
 static int trace_tile(const struct bake_job *job, struct bake_tile *tile, uint64_t memory_bytes)
@@ -183,8 +172,6 @@ int bake_trace_maps(struct bake_job *job)
         if (job->tiles[i].raster)
             status = trace_tile(job, &job->tiles[i], share / (job->udim.count - i));
     }
-    if (job->device)
-        note_device(job);
     return status;
 }
 
@@ -264,7 +251,6 @@ void bake_choose_radius(struct bake_job *job)
                   : bake_curvature_radius(&job->surface, job->options, &job->mesh, &job->udim);
 }
 
-/* The processor traces from here on, so the curvature is the same for all devices. */
 int bake_trace_curvature(struct bake_job *job)
 {
     int status = 0;
@@ -279,7 +265,8 @@ int bake_trace_curvature(struct bake_job *job)
             .offset = bake_map_offset(job->maps, BK_MAP_curvature),
             .radius = job->measures.curvature_radius,
             .objects = job->sees && job->tiles[i].raster ? objects_of : NULL,
-            .objects_arg = &tile};
+            .objects_arg = &tile,
+            .device = job->device};
         status = bake_curvature_trace(job->ctx, &curvature, &job->curvature);
     }
     return status < 0
@@ -299,9 +286,22 @@ int bake_warn_of_radius(struct bsq_ctx *ctx, const struct bake_curvature_counts 
                          counts->alone, counts->texels, radius);
 }
 
+static void note_device(struct bake_job *job)
+{
+    struct bake_device_times times;
+    snprintf(job->report->device, sizeof job->report->device, "%s", bake_device_name(job->device));
+    bake_device_times(job->device, &times);
+    job->report->seconds_upload = times.upload;
+    job->report->seconds_kernels = times.kernels;
+    job->report->seconds_copies = times.copies;
+    job->report->kernel_calls = times.launches;
+}
+
 /* Frees what is needed for tracing only. */
 void bake_end_tracing(struct bake_job *job)
 {
+    if (job->device)
+        note_device(job);
     bake_device_close(job->device);
     job->device = NULL;
     bsq_free(job->ctx, job->triangles);

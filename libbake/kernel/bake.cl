@@ -75,3 +75,17 @@ BK_KERNEL bake_look(BK_GRID_ARRAYS, bk_params params,
     bk_look_from(&grid, &params, &points[point], ray,
                  &found[(bk_ulong)point * bk_ray_count(&params) + ray]);
 }
+
+/* Traces single rays; work item (x, y) is ray y * columns + x. */
+BK_KERNEL bake_rays(BK_GRID_ARRAYS, bk_params params, bk_single_rays rays,
+                    const BK_GLOBAL float *BK_RESTRICT values, BK_GLOBAL float *BK_RESTRICT hits)
+{
+    const bk_ulong ray = (bk_ulong)bk_work_y() * rays.columns + bk_work_x();
+    bk_grid grid;
+
+    if (bk_work_x() >= rays.columns || ray >= rays.count)
+        return;
+    BK_SET_GRID(grid, params);
+    bk_trace_single(&grid, &params, &rays, values + ray * BK_RAY_FLOATS,
+                    hits + ray * BK_HIT_FLOATS);
+}

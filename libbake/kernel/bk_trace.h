@@ -457,6 +457,34 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
     }
 }
 
+/* Traces a single ray, see bk_single_rays. A ray without a direction hits nothing. */
+BK_FN void bk_trace_single(const bk_grid *grid, const bk_params *params, const bk_single_rays *rays,
+                           const BK_GLOBAL float *ray, BK_GLOBAL float *hit)
+{
+    bk_cache cache = bk_cache_empty();
+    bk_lines lines;
+    bk_hits hits;
+
+    lines.count = 1;
+    lines.origin = bk_v3w(bk_splat(ray[0]), bk_splat(ray[1]), bk_splat(ray[2]));
+    lines.direction = bk_v3w(bk_splat(ray[3]), bk_splat(ray[4]), bk_splat(ray[5]));
+    lines.facing = lines.direction;
+    lines.reach = bk_splat(0.0f);
+    lines.t_min = bk_splat(rays->t_min);
+    lines.t_max = bk_splat(rays->t_max);
+    lines.gap = 0.0f;
+    lines.sums[0] = 0;
+    hits.found = 0;
+    if (bk_bits(bk_less(bk_splat(0.0f), bk_dotw(lines.direction, lines.direction))) & 1u)
+        bk_trace(grid, params, &cache, &lines, &hits);
+    hit[0] = hits.found ? bk_lane(hits.t, 0) : BK_NOTHING;
+    if (!hits.found)
+        return;
+    hit[1] = bk_lane(hits.normal.x, 0);
+    hit[2] = bk_lane(hits.normal.y, 0);
+    hit[3] = bk_lane(hits.normal.z, 0);
+}
+
 /* Records within this distance of a hit, in voxels, belong to the surface that was hit. */
 #define BK_NEXT_SHEET 2.0f
 

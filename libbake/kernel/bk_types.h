@@ -94,4 +94,15 @@ typedef struct bk_batch {
     bk_uint first_row, end_row, first_column, end_column, first_line, end_line;
 } bk_batch;
 
+/* Single rays of a launch, from t_min to t_max in voxels along their directions. */
+typedef struct bk_single_rays {
+    float t_min, t_max;
+    bk_uint count;
+    bk_uint columns; /* of work items */
+} bk_single_rays;
+
+/* A single ray: origin and direction. What it hits: t, BK_NOTHING if nothing, and the normal. */
+enum { BK_RAY_FLOATS = 6, BK_HIT_FLOATS = 4 };
+#define BK_NOTHING (2.0f * BK_FAR)
+
 #endif

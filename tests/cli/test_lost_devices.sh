@@ -45,6 +45,15 @@ if [ -s "$ptx" ]; then
         done
     done
     holds "most failures were reached: $warned" [ "$warned" -ge 15 ]
+    # The rays of curvature come after all patches.
+    alone="--threads 1 --size 224x128 --type float vase.nvdb low.obj"
+    ok run bisque-bake --device cpu $alone --maps curvature -o cpu_curvature.exr
+    cuda --device cuda $alone --maps normal -o x.exr --json
+    patches=$(jq .kernel_calls "$out")
+    FAKE_CUDA_FAIL=cuLaunchKernel:$((patches + 2)):719 cuda --device auto $alone --maps curvature -o x.exr --json
+    json ".kernel_calls == $patches + 2 and (.device | endswith(\", then cpu, 1 thread\"))"
+    same cpu_curvature.exr x.exr
+    rm x.exr
     # With a second thread, its next call could fail first.
     FAKE_CUDA_FAIL=cuStreamQuery:3:719 cuda --device cuda ${maps#--threads 2} --threads 1 -o 'x_<MAP>.exr'
     code 69

@@ -88,14 +88,15 @@ bool fake_is_locked(const void *memory, size_t bytes);
 
 enum { GRID_ARRAYS = 10 };
 
-/* Arguments of a launch: those of bake_patch() and, if `looks`, some that bake_look() has. */
+/* Arguments of a launch: those of bake_patch(), and some that the other kernels have. */
 struct arguments {
-    bool looks;
+    int kernel; /* 0: bake_patch(), 1: bake_look(), 2: bake_rays() */
     CUdeviceptr arrays[GRID_ARRAYS], triangles, samples, points, found, texels;
     bk_params params;
     bk_patch patch;
     bk_batch batch;
     bk_uint stage, point_count;
+    bk_single_rays rays;
 };
 
 struct work {

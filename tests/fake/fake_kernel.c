@@ -23,14 +23,16 @@ static const struct kernel {
     struct {
         size_t at, bytes;
     } places[ARGUMENTS_MAX];
-} kernels[] = {
-    {"bake_patch",
-     ".entry bake_patch(",
-     {PLACES_OF_ARRAYS, PLACE(params), PLACE(triangles), PLACE(patch), PLACE(batch), PLACE(stage),
-      PLACE(samples), PLACE(points), PLACE(found), PLACE(texels)}},
-    {"bake_look",
-     ".entry bake_look(",
-     {PLACES_OF_ARRAYS, PLACE(params), PLACE(points), PLACE(point_count), PLACE(found)}}};
+} kernels[] = {{"bake_patch",
+                ".entry bake_patch(",
+                {PLACES_OF_ARRAYS, PLACE(params), PLACE(triangles), PLACE(patch), PLACE(batch),
+                 PLACE(stage), PLACE(samples), PLACE(points), PLACE(found), PLACE(texels)}},
+               {"bake_look",
+                ".entry bake_look(",
+                {PLACES_OF_ARRAYS, PLACE(params), PLACE(points), PLACE(point_count), PLACE(found)}},
+               {"bake_rays",
+                ".entry bake_rays(",
+                {PLACES_OF_ARRAYS, PLACE(params), PLACE(rays), PLACE(samples), PLACE(texels)}}};
 enum { KERNELS = sizeof kernels / sizeof *kernels };
 
 #define ARRAY(type, address) ((address) ? (type *)fake_device_memory(address, 1) : NULL)
@@ -79,6 +81,16 @@ static void run_ray(const struct arguments *a, const bk_grid *grid, bk_uint ray,
                      ARRAY(float, a->found) + (size_t)point * rays + ray);
 }
 
+/* Does what bake_rays() does for a work item. */
+static void run_single(const struct arguments *a, const bk_grid *grid, bk_uint x, bk_uint y)
+{
+    const size_t ray = (size_t)y * a->rays.columns + x;
+
+    if (x < a->rays.columns && ray < a->rays.count)
+        bk_trace_single(grid, &a->params, &a->rays, ARRAY(float, a->samples) + ray * BK_RAY_FLOATS,
+                        ARRAY(float, a->texels) + ray * BK_HIT_FLOATS);
+}
+
 static void run_c(const struct work *work)
 {
     const struct arguments *a = &work->arguments;
@@ -89,10 +101,12 @@ static void run_c(const struct work *work)
     set_grid(a, &grid);
     for (bk_uint y = 0; y < height; y++)
         for (bk_uint x = 0; x < width; x++)
-            if (a->looks)
+            if (a->kernel == 0)
+                run_texel(a, &grid, x, y);
+            else if (a->kernel == 1)
                 run_ray(a, &grid, x, y);
             else
-                run_texel(a, &grid, x, y);
+                run_single(a, &grid, x, y);
 }
 
 void fake_run_kernel(const struct work *work)
@@ -146,7 +160,8 @@ CUresult cuModuleLoadDataEx(CUmodule *module, const void *image, unsigned count,
         if (options[i] == CU_JIT_ERROR_LOG_BUFFER)
             log = values[i];
     if (!target || atoi(target + strlen(".target sm_")) > fake.capability ||
-        !entry_fits(text, &kernels[0]) || !entry_fits(text, &kernels[1])) {
+        !entry_fits(text, &kernels[0]) || !entry_fits(text, &kernels[1]) ||
+        !entry_fits(text, &kernels[2])) {
         if (log)
             strcpy(log, "ptxas fatal\nnot for this GPU");
         return INVALID_PTX;
@@ -204,7 +219,7 @@ CUresult cuLaunchKernel(CUfunction function, unsigned grid_x, unsigned grid_y, u
         return INVALID_VALUE;
     for (int i = 0; i < ARGUMENTS_MAX && kernel->places[i].bytes > 0; i++)
         memcpy((char *)a + kernel->places[i].at, parameters[i], kernel->places[i].bytes);
-    a->looks = kernel == &kernels[1];
+    a->kernel = (int)(kernel - kernels);
     for (int i = 0; i < GRID_ARRAYS; i++)
         work.used[work.use_count++] = a->arrays[i];
     work.used[work.use_count++] = a->triangles;

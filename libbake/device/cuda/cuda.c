@@ -34,7 +34,8 @@ struct cuda {
     struct bake_cuda_api api;
     struct bake_cuda_device device;
     CUcontext context;
-    CUmodule modules[BAKE_KERNEL_COUNT]; /* each is compiled for its own number of registers */
+    /* Each is compiled for its own number of registers; BAKE_RAYS is in that of BAKE_PATCH. */
+    CUmodule modules[BAKE_KERNEL_COUNT];
     CUfunction kernels[BAKE_KERNEL_COUNT];
     CUevent origin; /* zero of the device's clock */
 };
@@ -313,6 +314,14 @@ static void describe_refusal(const struct bake_cuda_api *api, CUresult code, con
 
 /* ---- opening and closing ---- */
 
+/* Finds a kernel in a module. */
+static int find_kernel(struct cuda *cuda, CUmodule module, int kernel)
+{
+    const CUresult code =
+        cuda->api.cuModuleGetFunction(&cuda->kernels[kernel], module, bake_kernel_names[kernel]);
+    return bake_gpu_fail(&cuda->gpu, (struct bake_failure){"cuModuleGetFunction", code});
+}
+
 static int load_kernel(struct cuda *cuda, int kernel)
 {
     char log[1024] = "", reason[REASON_BYTES];
@@ -326,9 +335,7 @@ static int load_kernel(struct cuda *cuda, int kernel)
         describe_refusal(&cuda->api, code, log, reason);
         return bsq_fail(cuda->gpu.ctx, BSQ_ENODEVICE, "%s: %s", cuda->device.name, reason);
     }
-    code =
-        cuda->api.cuModuleGetFunction(&cuda->kernels[kernel], *module, bake_kernel_names[kernel]);
-    return bake_gpu_fail(&cuda->gpu, (struct bake_failure){"cuModuleGetFunction", code});
+    return find_kernel(cuda, *module, kernel);
 }
 
 static struct bake_failure cuda_open_context(struct cuda *cuda)
@@ -352,6 +359,7 @@ static int cuda_open(struct bake_gpu *gpu, uint32_t number, const struct bake_sc
     gpu->buffer_bytes = gpu->array_bytes = UINT64_MAX;
     BSQ_PASS(bake_gpu_fail(gpu, cuda_open_context(cuda)));
     BSQ_PASS(load_kernel(cuda, BAKE_PATCH));
+    BSQ_PASS(find_kernel(cuda, cuda->modules[BAKE_PATCH], BAKE_RAYS));
     if (bk_ray_count(&scene->params) > 0)
         BSQ_PASS(load_kernel(cuda, BAKE_LOOK));
     return bake_gpu_fail(gpu, free_memory(cuda, &gpu->memory_bytes));

@@ -15,7 +15,7 @@ enum {
     SHARE_BYTES = 1 << 20     /* that one thread copies at a time */
 };
 
-const char *const bake_kernel_names[BAKE_KERNEL_COUNT] = {"bake_patch", "bake_look"};
+const char *const bake_kernel_names[BAKE_KERNEL_COUNT] = {"bake_patch", "bake_look", "bake_rays"};
 
 int bake_gpu_fail(const struct bake_gpu *gpu, struct bake_failure failure)
 {
@@ -38,6 +38,27 @@ static uint64_t texel_bytes(const struct bake_gpu *gpu, uint64_t texels)
     return texels * bk_texel_floats(gpu->params.maps) * sizeof(float);
 }
 
+/* Returns the most single rays that a worker traces at once. */
+static uint64_t single_rays(const struct bake_gpu *gpu)
+{
+    return gpu->params.maps >> BK_MAP_curvature & 1 ? BAKE_GPU_RAYS : 0;
+}
+
+/* Return the bytes that a worker sends and fetches at once. */
+static uint64_t sent_bytes(const struct bake_gpu *gpu)
+{
+    const uint64_t samples = sample_bytes(gpu, gpu->patch_texels);
+    const uint64_t rays = single_rays(gpu) * BK_RAY_FLOATS * sizeof(float);
+    return samples > rays ? samples : rays;
+}
+
+static uint64_t fetched_bytes(const struct bake_gpu *gpu)
+{
+    const uint64_t texels = texel_bytes(gpu, gpu->patch_texels);
+    const uint64_t hits = single_rays(gpu) * BK_HIT_FLOATS * sizeof(float);
+    return texels > hits ? texels : hits;
+}
+
 static uint64_t point_bytes(const struct bake_gpu *gpu)
 {
     return bk_ray_count(&gpu->params) > 0
@@ -53,8 +74,7 @@ static uint64_t found_bytes(const struct bake_gpu *gpu)
 static uint64_t worker_bytes(const struct bake_gpu *gpu)
 {
     return gpu->worker_count *
-           (sample_bytes(gpu, gpu->patch_texels) + texel_bytes(gpu, gpu->patch_texels) +
-            point_bytes(gpu) + found_bytes(gpu));
+           (sent_bytes(gpu) + fetched_bytes(gpu) + point_bytes(gpu) + found_bytes(gpu));
 }
 
 static uint64_t triangle_bytes(const struct bake_scene *scene)
@@ -73,7 +93,7 @@ static int gpu_reserve(struct bake_gpu *gpu, const char *what, uint64_t bytes)
 
 static int share_memory(struct bake_gpu *gpu, const struct bake_scene *scene)
 {
-    const uint64_t samples = sample_bytes(gpu, gpu->patch_texels);
+    const uint64_t samples = sent_bytes(gpu);
     const uint64_t triangles = triangle_bytes(scene);
     const uint64_t fixed = worker_bytes(gpu) + triangles;
     uint64_t limit = gpu->memory_bytes;
@@ -373,8 +393,8 @@ static struct bake_failure open_worker(struct bake_gpu *gpu, struct bake_stream 
 {
     const struct bake_driver *driver = gpu->driver;
     BAKE_TRY_CALL(driver->open_stream(gpu, stream));
-    BAKE_TRY_CALL(driver->allocate(gpu, sample_bytes(gpu, gpu->patch_texels), &stream->samples));
-    BAKE_TRY_CALL(driver->allocate(gpu, texel_bytes(gpu, gpu->patch_texels), &stream->texels));
+    BAKE_TRY_CALL(driver->allocate(gpu, sent_bytes(gpu), &stream->samples));
+    BAKE_TRY_CALL(driver->allocate(gpu, fetched_bytes(gpu), &stream->texels));
     if (bk_ray_count(&gpu->params) > 0) {
         BAKE_TRY_CALL(driver->allocate(gpu, point_bytes(gpu), &stream->points));
         BAKE_TRY_CALL(driver->allocate(gpu, found_bytes(gpu), &stream->found));
@@ -383,28 +403,52 @@ static struct bake_failure open_worker(struct bake_gpu *gpu, struct bake_stream 
     return BAKE_NO_FAILURE;
 }
 
-/* Enqueues a patch's copies and kernels on the worker's stream and waits for them. */
-static struct bake_failure gpu_trace_patch(struct bake_gpu *gpu, struct bake_stream *stream,
-                                           const struct bk_patch *patch,
-                                           const uint32_t *sample_triangles, float *texels)
+/* Enqueues the copy of what a worker's next launches read. */
+static struct bake_failure gpu_send(struct bake_gpu *gpu, struct bake_stream *stream,
+                                    const void *data, uint64_t bytes)
 {
     const struct bake_driver *driver = gpu->driver;
-    const uint64_t texel_count = (uint64_t)patch->width * patch->height;
-    const uint64_t bytes = sample_bytes(gpu, texel_count);
     if (driver->attach)
         BAKE_TRY_CALL(driver->attach(gpu));
     if (!stream->open)
         BAKE_TRY_CALL(open_worker(gpu, stream));
-    memcpy(stream->host[0], sample_triangles, bytes);
-    BAKE_TRY_CALL(
-        driver->send(gpu, stream, stream->host[0], bytes, stream->samples, 0, BAKE_SAMPLES));
-    BAKE_TRY_CALL(launch_batches(gpu, stream, patch));
-    BAKE_TRY_CALL(driver->fetch(gpu, stream, texel_bytes(gpu, texel_count)));
-    BAKE_TRY_CALL(driver->wait(gpu, stream, BAKE_TEXELS));
-    memcpy(texels, stream->host[0], texel_bytes(gpu, texel_count));
-    BAKE_TRY_CALL(driver->times(gpu, stream));
+    memcpy(stream->host[0], data, bytes);
+    return driver->send(gpu, stream, stream->host[0], bytes, stream->samples, 0, BAKE_SAMPLES);
+}
+
+/* Fetches what a worker's launches wrote, into the host memory of the stream, and waits for it. */
+static struct bake_failure gpu_fetch(struct bake_gpu *gpu, struct bake_stream *stream,
+                                     uint64_t bytes)
+{
+    BAKE_TRY_CALL(gpu->driver->fetch(gpu, stream, bytes));
+    BAKE_TRY_CALL(gpu->driver->wait(gpu, stream, BAKE_TEXELS));
+    BAKE_TRY_CALL(gpu->driver->times(gpu, stream));
     note_times(gpu, stream);
     return BAKE_NO_FAILURE;
+}
+
+static struct bake_failure gpu_trace_patch(struct bake_gpu *gpu, struct bake_stream *stream,
+                                           const struct bk_patch *patch,
+                                           const uint32_t *sample_triangles, float *texels)
+{
+    const uint64_t count = (uint64_t)patch->width * patch->height;
+    BAKE_TRY_CALL(gpu_send(gpu, stream, sample_triangles, sample_bytes(gpu, count)));
+    BAKE_TRY_CALL(launch_batches(gpu, stream, patch));
+    BAKE_TRY_CALL(gpu_fetch(gpu, stream, texel_bytes(gpu, count)));
+    memcpy(texels, stream->host[0], texel_bytes(gpu, count));
+    return BAKE_NO_FAILURE;
+}
+
+/* Describes the failure of a worker's work, and releases a stream that could not be opened. */
+static int end_worker(struct bake_gpu *gpu, struct bake_stream *stream, struct bake_failure failure,
+                      char *why)
+{
+    if (failure.code == 0)
+        return 0;
+    if (!stream->open)
+        close_stream(gpu, stream);
+    gpu_describe_failure(gpu, failure.call, failure, why);
+    return BSQ_ENODEVICE;
 }
 
 int bake_gpu_trace(struct bake_gpu *gpu, const struct bk_patch *patch,
@@ -416,14 +460,35 @@ int bake_gpu_trace(struct bake_gpu *gpu, const struct bk_patch *patch,
         return BSQ_EBUG;
     }
     struct bake_stream *stream = &gpu->streams[worker];
-    const struct bake_failure failure =
-        gpu_trace_patch(gpu, stream, patch, sample_triangles, texels);
-    if (failure.code == 0)
-        return 0;
-    if (!stream->open)
-        close_stream(gpu, stream);
-    gpu_describe_failure(gpu, failure.call, failure, why);
-    return BSQ_ENODEVICE;
+    return end_worker(gpu, stream, gpu_trace_patch(gpu, stream, patch, sample_triangles, texels),
+                      why);
+}
+
+/* ---- single rays ---- */
+
+static struct bake_failure gpu_trace_rays(struct bake_gpu *gpu, struct bake_stream *stream,
+                                          const float *values, const struct bk_single_rays *rays)
+{
+    struct bake_launch launch = begin_launch(gpu, BAKE_RAYS);
+    launch.side = launch.width = rays->columns;
+    launch.height = (rays->count - 1) / rays->columns + 1;
+    ADD(&launch, *rays);
+    ADD(&launch, stream->samples);
+    ADD(&launch, stream->texels);
+    BAKE_TRY_CALL(gpu_send(gpu, stream, values, rays->count * BK_RAY_FLOATS * sizeof(float)));
+    stream->launches++;
+    BAKE_TRY_CALL(gpu->driver->launch(gpu, stream, &launch));
+    return gpu_fetch(gpu, stream, rays->count * BK_HIT_FLOATS * sizeof(float));
+}
+
+int bake_gpu_trace_rays(struct bake_gpu *gpu, const float *rays, uint32_t count, float t_min,
+                        float t_max, const float **hits, unsigned worker, char *why)
+{
+    const struct bk_single_rays of = {t_min, t_max, count, 32};
+    struct bake_stream *stream = &gpu->streams[worker];
+    const struct bake_failure failure = gpu_trace_rays(gpu, stream, rays, &of);
+    *hits = (const float *)(const void *)stream->host[0];
+    return end_worker(gpu, stream, failure, why);
 }
 
 /* ---- from opening to closing ---- */
@@ -443,9 +508,8 @@ static int create_streams(struct bake_gpu *gpu)
 {
     const unsigned count = gpu->worker_count + 1;
     const uint64_t stream_bytes = gpu->driver->stream_bytes;
-    const uint64_t samples = sample_bytes(gpu, gpu->patch_texels);
-    const uint64_t texels = texel_bytes(gpu, gpu->patch_texels);
-    const uint64_t host = samples > texels ? samples : texels;
+    const uint64_t sent = sent_bytes(gpu), fetched = fetched_bytes(gpu);
+    const uint64_t host = sent > fetched ? sent : fetched;
     BSQ_PASS(BSQ_CALLOC(gpu->ctx, "streams of the device", count, &gpu->streams));
     BSQ_PASS(
         bsq_calloc(gpu->ctx, "streams of the device", count, stream_bytes, &gpu->stream_memory));

@@ -83,7 +83,7 @@ struct bake_stream {
     unsigned host_count;
     uint64_t host_bytes;
     bool open;
-    /* Of a worker: samples and texels of its patch on the device. */
+    /* Of a worker: samples and texels of its patch on the device; or single rays and their hits. */
     bake_memory samples, texels;
     /* With rays from hits: viewpoints of a batch, and what their rays found. */
     bake_memory points, found;
@@ -107,7 +107,7 @@ struct bake_failure {
     } while (0)
 
 /* The kernels of bake.cl. */
-enum { BAKE_PATCH, BAKE_LOOK, BAKE_KERNEL_COUNT };
+enum { BAKE_PATCH, BAKE_LOOK, BAKE_RAYS, BAKE_KERNEL_COUNT };
 extern const char *const bake_kernel_names[BAKE_KERNEL_COUNT];
 
 struct bake_argument {
@@ -216,6 +216,13 @@ void bake_gpu_close(struct bake_gpu *gpu);
  * recording it, since the caller may fall back to the processor. */
 int bake_gpu_trace(struct bake_gpu *gpu, const struct bk_patch *patch,
                    const uint32_t *sample_triangles, float *texels, unsigned worker, char *why);
+
+/* Traces `count` single rays, BAKE_GPU_RAYS at most, for a job with curvature. rays: BK_RAY_FLOATS
+ * each. *hits: BK_HIT_FLOATS each, until the worker's next call. Failures are those of
+ * bake_gpu_trace(). */
+enum { BAKE_GPU_RAYS = 1 << 14 };
+int bake_gpu_trace_rays(struct bake_gpu *gpu, const float *rays, uint32_t count, float t_min,
+                        float t_max, const float **hits, unsigned worker, char *why);
 
 /* Returns what the device did so far. Must not be called while patches are traced. */
 struct bake_device_times bake_gpu_times(struct bake_gpu *gpu);

@@ -204,9 +204,10 @@ static struct bake_image *make_image(struct bsq_ctx *ctx, const struct shape *sh
     return image;
 }
 
-/* Measures the curvature of all texels of the image. Returns the counts. */
+/* Measures the curvature of all texels of the image. device: name, or NULL. Returns the counts. */
 static struct bake_curvature_counts measure(struct bsq_ctx *ctx, const struct shape *shape,
-                                            bool exact, bool in_memory, double radius, float *out)
+                                            bool exact, const char *device, bool in_memory,
+                                            double radius, float *out)
 {
     struct bake_options options;
     struct bake_surface surface;
@@ -217,9 +218,14 @@ static struct bake_curvature_counts measure(struct bsq_ctx *ctx, const struct sh
     assert_int_equal(bake_surface_open(ctx, &options, &surface), 0);
     bake_surface_set_params(&surface, &options, BAKE_MAP_CURVATURE);
     struct bake_image *image = make_image(ctx, shape, &surface, in_memory);
-    const struct bake_curvature job = {
+    const struct bake_scene scene = {
+        .grid = &surface.scans->grid, .patch_texels = 1, .params = surface.params};
+    struct bake_curvature job = {
         .surface = &surface, .image = image, .offset = 1, .radius = radius};
+    if (device)
+        assert_int_equal(bake_device_open(ctx, device, &scene, &job.device), 0);
     assert_int_equal(bake_curvature_trace(ctx, &job, &counts), 0);
+    bake_device_close(job.device);
     for (uint32_t y = 0; y < HEIGHT; y++) {
         const float *rows;
         assert_int_equal(bake_image_rows(image, y, 1, row, &rows), 0);
@@ -236,7 +242,7 @@ static void check_shape(const struct shape *shape, bool exact, double radius)
     struct bsq_ctx *ctx = test_context(2, 0);
     float *found = malloc(WIDTH * HEIGHT * sizeof *found);
     double *errors = malloc(WIDTH * HEIGHT * sizeof *errors), mean = 0;
-    measure(ctx, shape, exact, true, radius, found);
+    measure(ctx, shape, exact, NULL, true, radius, found);
     for (uint32_t i = 0; i < WIDTH * HEIGHT; i++) {
         double u, v;
         parameters(shape, i, &u, &v);
@@ -267,6 +273,22 @@ TEST(test_voxels_have_the_curvature_of_the_formula)
 {
     for (int s = 0; s < SHAPES; s++)
         check_shape(&shapes[s], false, 2);
+}
+
+/* With a device, each worker traces its texels by itself; without one, all trace them together. */
+TEST(test_a_device_gives_the_same_bytes)
+{
+    static float together[WIDTH * HEIGHT], found[WIDTH * HEIGHT];
+    for (int i = 0; i < 4; i++) {
+        struct bsq_ctx *ctx = test_context(1 + i, 0);
+        const struct bake_curvature_counts all =
+            measure(ctx, &shapes[i % SHAPES], false, NULL, true, 2, together);
+        const struct bake_curvature_counts counts =
+            measure(ctx, &shapes[i % SHAPES], false, "cpu", i & 1, 2, found);
+        assert_memory_equal(found, together, sizeof found);
+        assert_memory_equal(&counts, &all, sizeof all);
+        test_context_end(ctx);
+    }
 }
 
 /* ---- edges ---- */
@@ -354,7 +376,7 @@ TEST(test_a_radius_that_leaves_the_scan_counts_texels_without_a_value)
     for (int i = 0; i < 2; i++) {
         struct bsq_ctx *ctx = test_context(2, 0);
         const struct bake_curvature_counts counts =
-            measure(ctx, &shapes[0], true, true, radii[i], found);
+            measure(ctx, &shapes[0], true, NULL, true, radii[i], found);
         assert_int_equal(counts.texels, WIDTH * HEIGHT - 1);
         assert_int_equal(counts.alone, i == 0 ? 0 : WIDTH * HEIGHT - 1);
         for (uint32_t t = 0; t < WIDTH * HEIGHT; t++)
