@@ -207,16 +207,27 @@ static void loop_worker(void *arg, unsigned worker)
     }
 }
 
-int bsq_parallel_for(struct bsq_ctx *ctx, uint64_t count,
-                     int (*fn)(void *arg, uint64_t index, unsigned worker), void *arg)
+unsigned bsq_workers_within(const struct bsq_ctx *ctx, unsigned most, uint64_t bytes)
 {
-    unsigned workers = bsq_threads(ctx);
+    const uint64_t fit = bsq_memory_left(ctx) / bytes;
+    return fit < 1 ? 1 : fit < most ? (unsigned)fit : most;
+}
+
+int bsq_parallel_on(struct bsq_ctx *ctx, unsigned workers, uint64_t count,
+                    int (*fn)(void *arg, uint64_t index, unsigned worker), void *arg)
+{
     if (workers > count)
         workers = count > 0 ? (unsigned)count : 1;
     struct loop loop = {.ctx = ctx, .fn = fn, .arg = arg, .count = count, .workers = workers};
     int status_before = bsq_error_status(ctx);
     pool_run(ctx, workers, loop_worker, &loop);
     return first_failure(ctx, atomic_load(&loop.status), status_before);
+}
+
+int bsq_parallel_for(struct bsq_ctx *ctx, uint64_t count,
+                     int (*fn)(void *arg, uint64_t index, unsigned worker), void *arg)
+{
+    return bsq_parallel_on(ctx, bsq_threads(ctx), count, fn, arg);
 }
 
 struct ranges {

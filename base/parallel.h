@@ -16,6 +16,14 @@
 int bsq_parallel_for(struct bsq_ctx *ctx, uint64_t count,
                      int (*fn)(void *arg, uint64_t index, unsigned worker), void *arg);
 
+/* Does the same on at most `workers` threads. */
+int bsq_parallel_on(struct bsq_ctx *ctx, unsigned workers, uint64_t count,
+                    int (*fn)(void *arg, uint64_t index, unsigned worker), void *arg);
+
+/* Returns how many of `most` workers or slots, at least 1, the memory that is left in the budget
+ * has space for, if each needs so many bytes. */
+unsigned bsq_workers_within(const struct bsq_ctx *ctx, unsigned most, uint64_t bytes);
+
 /* Does what bsq_parallel_for() does, with fn(arg, begin, end, worker) for ranges of at most `step`
  * that are [0, count) together. */
 int bsq_parallel_ranges(struct bsq_ctx *ctx, uint64_t count, uint64_t step,

@@ -304,13 +304,10 @@ done:
 
 static int verify_chunks(struct verify *v, uint64_t count)
 {
-    bool parallel = bsq_memory_left(v->ctx) / bsq_threads(v->ctx) >= v->worker_bytes;
-    int status = bsq_alloc(v->ctx, "chunks", parallel ? bsq_threads(v->ctx) : 1, v->worker_bytes,
-                           &v->scratch);
-    if (status == 0 && parallel)
-        status = bsq_parallel_for(v->ctx, count, verify_chunk, v);
-    for (uint64_t i = 0; i < count && !parallel && status == 0; i++)
-        status = verify_chunk(v, i, 0);
+    const unsigned workers = bsq_workers_within(v->ctx, bsq_threads(v->ctx), v->worker_bytes);
+    int status = bsq_alloc(v->ctx, "chunks", workers, v->worker_bytes, &v->scratch);
+    if (status == 0)
+        status = bsq_parallel_on(v->ctx, workers, count, verify_chunk, v);
     bsq_free(v->ctx, v->scratch);
     return status;
 }

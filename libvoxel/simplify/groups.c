@@ -225,12 +225,10 @@ done:
  */
 static unsigned count_slots(const struct level *level)
 {
-    const unsigned wanted = 2 * bsq_threads(level->ctx);
     uint64_t most = GROUP_TRIANGLES;
     for (uint64_t i = 0; i < level->member_count; i++)
         most = level->members[i].triangles > most ? level->members[i].triangles : most;
-    const uint64_t room = bsq_memory_left(level->ctx) / (most * WORK_BYTES);
-    return room < 1 ? 1 : room < wanted ? (unsigned)room : wanted;
+    return bsq_workers_within(level->ctx, 2 * bsq_threads(level->ctx), most * WORK_BYTES);
 }
 
 /* Makes the next level in *to. */

@@ -18,7 +18,10 @@ enum {
     GUESS_RUNS = 16,       /* of its runs of vertices, one of 16 is measured */
     FINE_SHARE = 64,       /* triangles below this share of the mesh's own need no inner points */
     POINTS_SHARE = 8,      /* others have one in each of these shares, */
-    POINTS_MAX = 1 << 16
+    POINTS_MAX = 1 << 16,
+    VERTEX_BYTES =
+        28, /* of a chunk's vertices, beside the chunk; and of its triangles, in a tree */
+    TRIANGLE_BYTES = 40
 };
 /* How much higher than the guess triangles of the scan may be above the mesh's; at most this part
  * of a triangle's size, because more of them see each other then. */
@@ -68,6 +71,13 @@ int vox_load_chunk(const struct vox_measuring *m, uint64_t index, void **scratch
 {
     BSQ_PASS(bsq_alloc(m->ctx, "a chunk", fmt_tris_load_size(m->file, index), 1, scratch));
     return fmt_tris_load(m->file, index, *scratch, chunk);
+}
+
+int vox_visit_chunks(const struct vox_measuring *m,
+                     int (*fn)(void *arg, uint64_t index, unsigned worker), void *arg)
+{
+    return bsq_parallel_on(m->ctx, bsq_workers_within(m->ctx, bsq_threads(m->ctx), m->chunk_bytes),
+                           fmt_tris_get_header(m->file)->chunk_count, fn, arg);
 }
 
 /* Returns how many points from the first on, at most a batch, are within reach of it. */
@@ -296,8 +306,8 @@ static int add_chunk(void *arg, void *slot_, uint64_t sequence)
 static int measure_scan(struct vox_measuring *m)
 {
     const uint64_t chunks = fmt_tris_get_header(m->file)->chunk_count;
-    const unsigned slot_count = 2 * bsq_threads(m->ctx);
     struct measure_slot *slots = NULL;
+    unsigned slot_count;
     int status = 0;
     for (uint64_t i = 0; i < chunks; i += GUESS_CHUNKS + chunks / GUESS_CHUNKS_MAX)
         BSQ_TRY(guess_chunk(m, i));
@@ -307,6 +317,8 @@ static int measure_scan(struct vox_measuring *m)
                                   .margin = m->scan.slack / 8,
                                   .reach = m->reach};
     BSQ_TRY(vox_cover_begin(m->ctx, m->mesh->triangle_count, &m->cover));
+    slot_count =
+        bsq_workers_within(m->ctx, 2 * bsq_threads(m->ctx), m->chunk_bytes + sizeof *slots);
     BSQ_TRY(BSQ_ALLOC(m->ctx, "distances", slot_count, &slots));
     const struct bsq_pipeline pipeline = {.produce = produce_chunk,
                                           .work = measure_chunk,
@@ -326,12 +338,20 @@ done:
 
 /* ---- both ways ---- */
 
-/* Sets sizes: how far the scan and the mesh reach, and how far coordinates are rounded. */
+/* Sets sizes: of chunks in memory, how far the scan and the mesh reach, and how far coordinates are
+ * rounded. */
 static void measure_sizes(struct vox_measuring *m)
 {
     const struct fmt_tris_header *header = fmt_tris_get_header(m->file);
     const float(*positions)[3] = (const float(*)[3])m->mesh->positions;
+    const struct fmt_tris_chunk_info *chunks = fmt_tris_chunks(m->file);
     double area = 0, most = 0;
+    for (uint64_t i = 0; i < header->chunk_count; i++) {
+        const uint64_t bytes = fmt_tris_load_size(m->file, i) +
+                               VERTEX_BYTES * (uint64_t)chunks[i].vertex_count +
+                               TRIANGLE_BYTES * ((uint64_t)chunks[i].triangle_count + 1);
+        m->chunk_bytes = bytes > m->chunk_bytes ? bytes : m->chunk_bytes;
+    }
     for (uint32_t t = 0; t < m->mesh->triangle_count; t++)
         area += vox_triangle_area(positions, m->mesh->triangles[t]);
     for (uint32_t v = 0; v < m->mesh->vertex_count; v++)

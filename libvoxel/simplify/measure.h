@@ -39,6 +39,7 @@ struct vox_measuring {
     struct bsq_ctx *ctx;
     const struct fmt_tris_file *file;
     const struct vox_mesh *mesh;
+    uint64_t chunk_bytes; /* most that a chunk takes in memory, with what is known of it */
     double diagonal;
     double limit;            /* of distances, if triangles are marked */
     _Atomic uint8_t *marks;  /* NULL, or of triangles of the mesh: see vox_measure() */
@@ -55,6 +56,9 @@ struct vox_measuring {
 /* Loads a chunk. The caller frees *scratch, on failure too. */
 int vox_load_chunk(const struct vox_measuring *m, uint64_t index, void **scratch,
                    struct fmt_tris_chunk *chunk);
+/* Calls `fn` for each chunk, on as many threads as memory has space for chunks. */
+int vox_visit_chunks(const struct vox_measuring *m,
+                     int (*fn)(void *arg, uint64_t index, unsigned worker), void *arg);
 
 static inline double vox_longest_edge(const float *const corners[3])
 {

@@ -115,7 +115,7 @@ static int gather_near(struct resolving *r)
     BSQ_TRY(vox_closest_build(ctx, (const float(*)[3])r->m->mesh->positions,
                               (const uint32_t(*)[3])r->chosen, r->chosen_count, false,
                               &r->chosen_tree));
-    status = bsq_parallel_for(ctx, fmt_tris_get_header(r->m->file)->chunk_count, gather_chunk, r);
+    status = vox_visit_chunks(r->m, gather_chunk, r);
 done:
     vox_closest_free(ctx, &r->chosen_tree);
     return status;

@@ -265,7 +265,7 @@ static int measure_pending(struct sampling *s)
     for (uint32_t begin = 0; begin < s->pending_count; begin += BUNDLE)
         set_bundle(s, begin, &s->bundles[begin / BUNDLE]);
     bsq_progress_begin(s->m->ctx, "measuring", "triangles", header->triangle_count);
-    int status = bsq_parallel_for(s->m->ctx, header->chunk_count, measure_samples, s);
+    int status = vox_visit_chunks(s->m, measure_samples, s);
     bsq_progress_end(s->m->ctx);
     return status;
 }

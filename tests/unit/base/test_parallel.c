@@ -120,6 +120,20 @@ TEST(test_loop_is_interrupted)
     }
 }
 
+/* Memory has space for what three of the eight threads need; others take no part. */
+CONTEXT_TEST(test_loop_keeps_to_memory, MAX_THREADS, 3500)
+{
+    atomic_uchar visits[100] = {0};
+    struct loop_state shared = {.threads = 3, .fail_at = UINT64_MAX, .visits = visits};
+    assert_int_equal(bsq_workers_within(ctx, MAX_THREADS, 1000), 3);
+    assert_int_equal(bsq_workers_within(ctx, 2, 1000), 2);
+    assert_int_equal(bsq_workers_within(ctx, MAX_THREADS, 3501), 1);
+    assert_int_equal(bsq_parallel_on(ctx, 3, 100, visit, &shared), 0);
+    for (int i = 0; i < 100; i++)
+        assert_int_equal(visits[i], 1);
+    assert_int_equal(shared.trouble, 0);
+}
+
 /* Waits for the other iteration, so it succeeds only if both run at the same time. */
 static int meet(void *arg, uint64_t index, unsigned worker)
 {
