@@ -251,14 +251,14 @@ struct vox_distances {
     double where[3]; /**< A point that is as far, to 1 %. */
 };
 
-/** A box of space, whose sides may be infinite, and how far a mesh is from a scan in it. */
+/** A box of space, whose sides may be infinite, and how far a mesh is from a scan in it. Maxima are
+ * of all points of triangles that touch the box, the other figures of points in it, at its lower
+ * sides too. All are 0 if there is none. */
 struct vox_measured_box {
-    double low[3];    /**< Its lower corner, in the scan's units. */
-    double high[3];   /**< Its upper corner. */
-    double from_scan; /**< No point of a triangle of the scan that touches the box is farther from
-                         the mesh; 0: there is none. */
-    double from_mesh; /**< No point of a triangle of the mesh that touches the box is farther from
-                         the scan; 0: there is none. */
+    double low[3];                  /**< Its lower corner, in the scan's units. */
+    double high[3];                 /**< Its upper corner. */
+    struct vox_distances from_scan; /**< Of the scan from the mesh. */
+    struct vox_distances from_mesh; /**< Of the mesh from the scan. */
 };
 
 /** A mesh that vox_simplify() wrote. */

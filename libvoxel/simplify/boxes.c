@@ -6,12 +6,6 @@
 
 #include "libvoxel/simplify/measure.h"
 
-/* A box that a chunk touches, and what is known of the chunk's triangles in it. */
-struct touched_box {
-    uint32_t number;
-    struct vox_bound bound;
-};
-
 static bool touches(const struct vox_boxes *boxes, uint32_t number, const float low[3],
                     const float high[3])
 {
@@ -49,32 +43,48 @@ static void add_triangle(const struct vox_measuring *m, const struct vox_chunk_v
         vox_bound_triangle(&m->tree, corners, b);
 }
 
-static void raise_box(const struct vox_boxes *boxes, const struct touched_box *touched)
-{
-    _Atomic uint64_t *most = &boxes->most[touched->number];
-    uint64_t bits, old = atomic_load_explicit(most, memory_order_relaxed);
-    const double value = fmax(touched->bound.low, touched->bound.high);
-    memcpy(&bits, &value, sizeof bits);
-    while (bits > old && !atomic_compare_exchange_weak_explicit(
-                             most, &old, bits, memory_order_relaxed, memory_order_relaxed))
-        ;
-}
-
-int vox_boxes_add_chunk(const struct vox_measuring *m, uint64_t index,
-                        const struct fmt_tris_chunk *chunk, const struct vox_chunk_vertices *of)
+int vox_boxes_touched(const struct vox_measuring *m, uint64_t index, struct vox_box_sums **list,
+                      uint32_t *count)
 {
     const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(m->file)[index];
-    const float(*positions)[3] = chunk->positions;
-    struct touched_box *list = NULL;
-    uint32_t count = 0;
-    int status = 0;
-    if (m->boxes.count == 0)
-        return 0;
-    BSQ_TRY(BSQ_ALLOC(m->ctx, "boxes", m->boxes.count, &list));
+    uint32_t found = 0;
+    *list = NULL;
+    *count = 0;
     for (uint32_t i = 0; i < m->boxes.count; i++)
-        if (touches(&m->boxes, i, info->bounds_min, info->bounds_max))
-            list[count++] = (struct touched_box){i, {.slack = m->scan.slack}};
-    for (uint32_t t = 0; t < chunk->triangle_count; t++) {
+        found += touches(&m->boxes, i, info->bounds_min, info->bounds_max);
+    if (found == 0)
+        return 0;
+    BSQ_PASS(BSQ_CALLOC(m->ctx, "boxes", found, list));
+    for (uint32_t i = 0; i < m->boxes.count; i++)
+        if (touches(&m->boxes, i, info->bounds_min, info->bounds_max)) {
+            (*list)[*count].number = i;
+            (*list)[(*count)++].bound.slack = m->scan.slack;
+        }
+    return 0;
+}
+
+void vox_boxes_add_point(const struct vox_measuring *m, const double point[3], double square,
+                         double weight, struct vox_box_sums *list, uint32_t count)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        const struct vox_measured_box *box = &m->boxes.list[list[i].number];
+        bool inside = true;
+        for (int k = 0; k < 3; k++)
+            inside = inside && point[k] >= box->low[k] - m->boxes.origin[k] &&
+                     point[k] < box->high[k] - m->boxes.origin[k];
+        if (!inside)
+            continue;
+        vox_add_distance(m, &list[i].sums, square, weight);
+        vox_bound_note(&list[i].bound, point, sqrt(square));
+    }
+}
+
+int vox_boxes_add_triangles(const struct vox_measuring *m, const struct fmt_tris_chunk *chunk,
+                            const struct vox_chunk_vertices *of, struct vox_box_sums *list,
+                            uint32_t count)
+{
+    const float(*positions)[3] = chunk->positions;
+    for (uint32_t t = 0; t < chunk->triangle_count && count > 0; t++) {
         const uint32_t *v = chunk->triangles[t];
         const float *const corners[3] = {positions[v[0]], positions[v[1]], positions[v[2]]};
         float low[3], high[3];
@@ -83,13 +93,18 @@ int vox_boxes_add_chunk(const struct vox_measuring *m, uint64_t index,
             if (touches(&m->boxes, list[i].number, low, high))
                 add_triangle(m, of, corners, v, &list[i].bound);
         if (t % 4096 == 0)
-            BSQ_TRY(bsq_check(m->ctx));
+            BSQ_PASS(bsq_check(m->ctx));
     }
-    for (uint32_t i = 0; i < count; i++)
-        raise_box(&m->boxes, &list[i]);
-done:
-    bsq_free(m->ctx, list);
-    return status;
+    return 0;
+}
+
+void vox_boxes_add(struct vox_measuring *m, const struct vox_box_sums *list, uint32_t count)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        struct vox_box_sums *box = &m->boxes.from_scan[list[i].number];
+        vox_sums_add(&box->sums, &list[i].sums);
+        vox_bound_add(&box->bound, &list[i].bound);
+    }
 }
 
 int vox_boxes_begin(struct vox_measuring *m, struct vox_measured_box *list, uint32_t count)
@@ -98,26 +113,29 @@ int vox_boxes_begin(struct vox_measuring *m, struct vox_measured_box *list, uint
                                   .count = count,
                                   .origin = fmt_tris_get_header(m->file)->origin,
                                   .slack = m->scan.slack};
-    return BSQ_CALLOC(m->ctx, "boxes", count, &m->boxes.most);
+    BSQ_PASS(BSQ_CALLOC(m->ctx, "boxes", count, &m->boxes.from_scan));
+    BSQ_PASS(BSQ_CALLOC(m->ctx, "boxes", count, &m->boxes.from_mesh));
+    for (uint32_t i = 0; i < count; i++)
+        m->boxes.from_scan[i].number = m->boxes.from_mesh[i].number = i;
+    return 0;
 }
 
 void vox_boxes_end(struct vox_measuring *m)
 {
-    for (uint32_t i = 0; i < m->boxes.count; i++) {
-        struct vox_measured_box *box = &m->boxes.list[i];
-        const uint64_t bits = m->boxes.most[i];
-        memcpy(&box->from_scan, &bits, sizeof bits);
-        box->from_mesh = 0;
-    }
     for (uint32_t t = 0; t < m->mesh->triangle_count && m->boxes.count > 0; t++) {
         const float *corners[3];
         float low[3], high[3];
         vox_closest_corners(&m->tree, t, corners);
         bound_corners(corners, low, high);
         for (uint32_t i = 0; i < m->boxes.count; i++) {
-            double *most = &m->boxes.list[i].from_mesh;
+            double *most = &m->boxes.from_mesh[i].bound.high;
             if (m->bounds[t] > *most && touches(&m->boxes, i, low, high))
                 *most = m->bounds[t];
         }
+    }
+    for (uint32_t i = 0; i < m->boxes.count; i++) {
+        const struct vox_box_sums *there = &m->boxes.from_scan[i], *back = &m->boxes.from_mesh[i];
+        vox_summarize(m, &there->sums, &there->bound, &m->boxes.list[i].from_scan);
+        vox_summarize(m, &back->sums, &back->bound, &m->boxes.list[i].from_mesh);
     }
 }

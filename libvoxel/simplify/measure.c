@@ -30,11 +30,13 @@ static const double cover_factor = 2, cover_most = 0.5;
 struct measure_slot {
     struct vox_sums sums;
     struct vox_bound bound;
+    struct vox_box_sums *boxes; /* that the chunk touches */
+    uint32_t box_count;
 };
 
 /* ---- sums ---- */
 
-static void add_sums(struct vox_sums *sums, const struct vox_sums *other)
+void vox_sums_add(struct vox_sums *sums, const struct vox_sums *other)
 {
     sums->weight += other->weight;
     sums->distance += other->distance;
@@ -44,8 +46,8 @@ static void add_sums(struct vox_sums *sums, const struct vox_sums *other)
 }
 
 /* Turns sums into figures. The 99th percentile is the upper end of its bin. */
-static void summarize(const struct vox_measuring *m, const struct vox_sums *sums,
-                      const struct vox_bound *bound, struct vox_distances *out)
+void vox_summarize(const struct vox_measuring *m, const struct vox_sums *sums,
+                   const struct vox_bound *bound, struct vox_distances *out)
 {
     const double *origin = fmt_tris_get_header(m->file)->origin;
     double below = 0;
@@ -59,7 +61,7 @@ static void summarize(const struct vox_measuring *m, const struct vox_sums *sums
     out->rms = sqrt(sums->square / sums->weight);
     while (bin < VOX_BINS - 1 && (below += sums->bins[bin]) < 0.99 * sums->weight)
         bin++;
-    bin = (VOX_BINS_FIRST + bin + 1) << 48;
+    bin = (uint64_t)(m->first_bin + (int64_t)bin + 1) << 48;
     memcpy(&out->p99, &bin, sizeof bin);
     out->p99 = fmin(sqrt(out->p99), out->max);
 }
@@ -154,7 +156,8 @@ static double measure_inside(const struct vox_measuring *m, const float *const c
             point[k] = (1 - u - v) * (double)corners[0][k] + u * (double)corners[1][k] +
                        v * (double)corners[2][k];
         vox_closest_point(&m->tree, point, &square);
-        vox_add_distance(&slot->sums, square, inner * area / count);
+        vox_add_distance(m, &slot->sums, square, inner * area / count);
+        vox_boxes_add_point(m, point, square, inner * area / count, slot->boxes, slot->box_count);
         vox_bound_note(&slot->bound, point, sqrt(square));
     }
     return 1 - inner;
@@ -282,11 +285,16 @@ static int measure_chunk(void *arg, void *slot_, uint64_t sequence, unsigned wor
     BSQ_TRY(BSQ_CALLOC(m->ctx, "areas", count, &of.weights));
     BSQ_TRY(BSQ_ALLOC(m->ctx, "closest triangles", count, &of.closest));
     BSQ_TRY(BSQ_ALLOC(m->ctx, "numbers of blocks", count, &of.blocks));
+    BSQ_TRY(vox_boxes_touched(m, sequence, &slot->boxes, &slot->box_count));
     BSQ_TRY(measure_vertices(m, &chunk, &of, &slot->bound));
     BSQ_TRY(measure_triangles(m, &chunk, &of, slot));
-    BSQ_TRY(vox_boxes_add_chunk(m, sequence, &chunk, &of));
-    for (uint32_t v = 0; v < count; v++)
-        vox_add_distance(&slot->sums, of.squares[v], of.weights[v]);
+    BSQ_TRY(vox_boxes_add_triangles(m, &chunk, &of, slot->boxes, slot->box_count));
+    for (uint32_t v = 0; v < count; v++) {
+        const float *p = chunk.positions[v];
+        vox_add_distance(m, &slot->sums, of.squares[v], of.weights[v]);
+        vox_boxes_add_point(m, (const double[3]){(double)p[0], (double)p[1], (double)p[2]},
+                            of.squares[v], of.weights[v], slot->boxes, slot->box_count);
+    }
     vox_cover_add(&m->cover, &chunk, of.blocks);
 done:
     BSQ_FREE(m->ctx, of.blocks, of.closest, of.weights, of.squares, scratch);
@@ -296,9 +304,12 @@ done:
 static int add_chunk(void *arg, void *slot_, uint64_t sequence)
 {
     struct vox_measuring *m = arg;
-    const struct measure_slot *slot = slot_;
-    add_sums(m->from_scan, &slot->sums);
+    struct measure_slot *slot = slot_;
+    vox_sums_add(m->from_scan, &slot->sums);
     vox_bound_add(&m->scan, &slot->bound);
+    vox_boxes_add(m, slot->boxes, slot->box_count);
+    bsq_free(m->ctx, slot->boxes);
+    slot->boxes = NULL;
     bsq_progress_add(m->ctx, fmt_tris_chunks(m->file)[sequence].triangle_count);
     return 0;
 }
@@ -319,7 +330,7 @@ static int measure_scan(struct vox_measuring *m)
     BSQ_TRY(vox_cover_begin(m->ctx, m->mesh->triangle_count, &m->cover));
     slot_count =
         bsq_workers_within(m->ctx, 2 * bsq_threads(m->ctx), m->chunk_bytes + sizeof *slots);
-    BSQ_TRY(BSQ_ALLOC(m->ctx, "distances", slot_count, &slots));
+    BSQ_TRY(BSQ_CALLOC(m->ctx, "distances", slot_count, &slots));
     const struct bsq_pipeline pipeline = {.produce = produce_chunk,
                                           .work = measure_chunk,
                                           .emit = add_chunk,
@@ -332,6 +343,8 @@ static int measure_scan(struct vox_measuring *m)
     status = bsq_pipeline_run(m->ctx, &pipeline);
     bsq_progress_end(m->ctx);
 done:
+    for (unsigned i = 0; slots && i < slot_count; i++)
+        bsq_free(m->ctx, slots[i].boxes);
     bsq_free(m->ctx, slots);
     return status;
 }
@@ -339,13 +352,14 @@ done:
 /* ---- both ways ---- */
 
 /* Sets sizes: of chunks in memory, how far the scan and the mesh reach, and how far coordinates are
- * rounded. */
+ * rounded. No distance is larger than the last octaves of the histogram have. */
 static void measure_sizes(struct vox_measuring *m)
 {
     const struct fmt_tris_header *header = fmt_tris_get_header(m->file);
     const float(*positions)[3] = (const float(*)[3])m->mesh->positions;
     const struct fmt_tris_chunk_info *chunks = fmt_tris_chunks(m->file);
-    double area = 0, most = 0;
+    double area = 0, most = 0, square;
+    uint64_t bits;
     for (uint64_t i = 0; i < header->chunk_count; i++) {
         const uint64_t bytes = fmt_tris_load_size(m->file, i) +
                                VERTEX_BYTES * (uint64_t)chunks[i].vertex_count +
@@ -366,6 +380,9 @@ static void measure_sizes(struct vox_measuring *m)
     m->diagonal = sqrt(m->diagonal);
     m->reach = sqrt(area / m->mesh->triangle_count);
     m->scan.slack = m->low.slack = 0x1p-21 * most;
+    square = 16 * most * most;
+    memcpy(&bits, &square, sizeof bits);
+    m->first_bin = (int64_t)(bits >> 48) - VOX_BINS;
 }
 
 int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_mesh *mesh,
@@ -393,13 +410,12 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
         m.scan = m.low = vox_limit_bound(&m);
     BSQ_TRY(vox_measure_samples(&m));
     BSQ_TRY(vox_resolve_bounds(&m));
-    summarize(&m, m.from_scan, &m.scan, scan_to_mesh);
-    summarize(&m, m.from_mesh, &m.low, mesh_to_scan);
+    vox_summarize(&m, m.from_scan, &m.scan, scan_to_mesh);
+    vox_summarize(&m, m.from_mesh, &m.low, mesh_to_scan);
     vox_boxes_end(&m);
 done:
-    bsq_free(ctx, (void *)m.boxes.most);
     vox_cover_free(ctx, &m.cover);
     vox_closest_free(ctx, &m.tree);
-    BSQ_FREE(ctx, m.bounds, m.from_mesh, m.from_scan);
+    BSQ_FREE(ctx, m.boxes.from_mesh, m.boxes.from_scan, m.bounds, m.from_mesh, m.from_scan);
     return status;
 }

@@ -10,9 +10,9 @@
 #include "libvoxel/simplify/mesh.h"
 #include "libvoxel/voxel.h"
 
-/* Of the histogram: sixteen steps in each octave of squares of distances, for all doubles that
- * squares of floats may be. */
-enum { VOX_BINS_FIRST = (1023 - 300) * 16, VOX_BINS = 600 * 16 };
+/* Of the histogram: sixteen steps in each octave of squares of distances. Below the last octaves,
+ * distances are smaller than rounded coordinates tell. */
+enum { VOX_BINS = 64 * 16 };
 
 struct vox_sums {
     double weight, distance, square; /* weighted sums */
@@ -26,13 +26,20 @@ struct vox_chunk_vertices {
     uint64_t *blocks;
 };
 
+/* What is known of the triangles that touch a box, and of the points in it. */
+struct vox_box_sums {
+    uint32_t number; /* of the box */
+    struct vox_bound bound;
+    struct vox_sums sums;
+};
+
 /* Boxes of space with distances of their own. */
 struct vox_boxes {
     struct vox_measured_box *list; /* the caller's */
     uint32_t count;
-    const double *origin;   /* of the scan */
-    double slack;           /* for rounded coordinates */
-    _Atomic uint64_t *most; /* bits of the largest distance of the scan in each box */
+    const double *origin;                       /* of the scan */
+    double slack;                               /* for rounded coordinates */
+    struct vox_box_sums *from_scan, *from_mesh; /* of all boxes */
 };
 
 struct vox_measuring {
@@ -47,7 +54,8 @@ struct vox_measuring {
     double guess;            /* distance of a vertex of the scan that is farther than most */
     struct vox_closest tree; /* of the mesh */
     struct vox_cover cover;
-    double *bounds; /* of triangles of the mesh; INFINITY: not known */
+    double *bounds;    /* of triangles of the mesh; INFINITY: not known */
+    int64_t first_bin; /* of histograms: the first bits of its squares */
     struct vox_sums *from_scan, *from_mesh;
     struct vox_bound scan, low; /* of the scan's points, and the mesh's */
     struct vox_boxes boxes;
@@ -79,13 +87,14 @@ static inline struct vox_bound vox_limit_bound(const struct vox_measuring *m)
 }
 
 /* Adds a distance to sums. */
-static inline void vox_add_distance(struct vox_sums *sums, double square, double weight)
+static inline void vox_add_distance(const struct vox_measuring *m, struct vox_sums *sums,
+                                    double square, double weight)
 {
     union {
         double value;
         uint64_t bits;
     } key = {square};
-    const int64_t bin = (int64_t)(key.bits >> 48) - VOX_BINS_FIRST;
+    const int64_t bin = (int64_t)(key.bits >> 48) - m->first_bin;
     sums->weight += weight;
     sums->distance += weight * sqrt(square);
     sums->square += weight * square;
@@ -99,14 +108,29 @@ double vox_bound_by_corners(const struct vox_measuring *m, const float *const co
                             double allowed);
 
 /* boxes.c: prepares the distances of boxes, which stay the caller's; the caller frees
- * m->boxes.most. Errors: BSQ_ENOMEM. */
+ * m->boxes.from_scan and from_mesh. Errors: BSQ_ENOMEM. */
 int vox_boxes_begin(struct vox_measuring *m, struct vox_measured_box *list, uint32_t count);
-/* Raises the distances of boxes by the triangles of a chunk that touch them. Thread-safe; the order
- * of chunks does not matter. Errors: BSQ_ENOMEM, BSQ_EINTR. */
-int vox_boxes_add_chunk(const struct vox_measuring *m, uint64_t index,
-                        const struct fmt_tris_chunk *chunk, const struct vox_chunk_vertices *of);
-/* Sets the distances of all boxes, those of the mesh by m->bounds. */
+/* Sets *list to the boxes that a chunk touches, NULL if there is none. The caller frees it. Errors:
+ * BSQ_ENOMEM. */
+int vox_boxes_touched(const struct vox_measuring *m, uint64_t index, struct vox_box_sums **list,
+                      uint32_t *count);
+/* Adds the distance of a point to boxes of a list, if it is in them. */
+void vox_boxes_add_point(const struct vox_measuring *m, const double point[3], double square,
+                         double weight, struct vox_box_sums *list, uint32_t count);
+/* Bounds the triangles of a chunk for the boxes of a list that they touch. Errors: BSQ_EINTR. */
+int vox_boxes_add_triangles(const struct vox_measuring *m, const struct fmt_tris_chunk *chunk,
+                            const struct vox_chunk_vertices *of, struct vox_box_sums *list,
+                            uint32_t count);
+/* Adds what is known of boxes by a chunk. */
+void vox_boxes_add(struct vox_measuring *m, const struct vox_box_sums *list, uint32_t count);
+/* Bounds the triangles of the mesh for all boxes by m->bounds, and sets the boxes' distances. */
 void vox_boxes_end(struct vox_measuring *m);
+
+/* Adds sums to others. */
+void vox_sums_add(struct vox_sums *sums, const struct vox_sums *other);
+/* Turns sums and a bound into figures. */
+void vox_summarize(const struct vox_measuring *m, const struct vox_sums *sums,
+                   const struct vox_bound *bound, struct vox_distances *out);
 
 /* samples.c: measures the distances of points spread over the mesh, and of its vertices, from the
  * scan. Sets m->from_mesh, and m->low to the largest one; lowers m->bounds by them. */

@@ -297,10 +297,12 @@ static void use_samples(struct vox_measuring *m, const struct sampling *s)
     for (uint32_t i = 0; i < s->sample_count && !m->marks; i++) {
         const double square = get_found(s, i);
         const float *p = s->points[i];
-        if (i < s->area_samples)
-            vox_add_distance(m->from_mesh, square, 1);
-        vox_bound_note(&m->low, (const double[3]){(double)p[0], (double)p[1], (double)p[2]},
-                       sqrt(square));
+        const double point[3] = {(double)p[0], (double)p[1], (double)p[2]};
+        if (i < s->area_samples) {
+            vox_add_distance(m, m->from_mesh, square, 1);
+            vox_boxes_add_point(m, point, square, 1, m->boxes.from_mesh, m->boxes.count);
+        }
+        vox_bound_note(&m->low, point, sqrt(square));
     }
     uint32_t at = s->area_samples + m->mesh->vertex_count;
     for (uint32_t t = 0; t < m->mesh->triangle_count; t++) {

@@ -192,6 +192,28 @@ def test_no_point_is_farther_than_the_errors(made, read):
         assert certificate["meshes"][level]["from_scan"]["max"] < 6 * distances.max() + 1e-3
 
 
+def test_figures_of_a_tile_are_those_of_its_region(made, read):
+    _, certificate, _ = made
+    rng = np.random.default_rng(11)
+    scan = coloured()
+    corners = np.asarray(scan.vertices)[scan.faces]
+    points = spread(rng, corners, 2500)
+    names = of_level(certificate, 1)
+    distances = distance_to_triangles(points, np.concatenate([read[name]["p"][read[name]["faces"]] for name in names]))
+    for name in names:
+        tile = certificate["tiles"][name]
+        low, high = region_of(tile)
+        mine = distances[((points >= low) & (points < high)).all(axis=1)]
+        assert len(mine) > 300
+        back = distance_to_triangles(spread(rng, read[name]["p"][read[name]["faces"]], 200), corners)
+        for key, sample, close in (("from_scan", mine, 0.15), ("from_mesh", back, 0.3)):
+            figures = tile[key]
+            assert abs(figures["mean"] / sample.mean() - 1) < close
+            assert abs(figures["rms"] / np.sqrt((sample ** 2).mean()) - 1) < close
+            assert np.quantile(sample, 0.95) < figures["p99"] * 1.05 and figures["p99"] <= figures["max"]
+            assert figures["max"] <= tile["geometric_error"]
+
+
 # ---- borders ----
 
 def border_of(tile):

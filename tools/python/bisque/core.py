@@ -459,8 +459,8 @@ def measure(low: Any, scan: Any, *, boxes: Any = None, memory: int | str | None 
             tmpdir: Any = None, progress: Progress | None = None) -> dict:
     """Measures how far a mesh is from a scan: from_scan, from all of the scan to the mesh,
     and from_mesh, the other way. boxes: rows of six numbers, the low and the high corner of boxes of
-    space; "boxes" then has two numbers for each: no triangle of the scan that touches it is farther
-    from the mesh, and no such triangle of the mesh is farther from the scan. Raises Error."""
+    space; "boxes" then has both for each: mean, rms and p99 of the points in it, and max of all triangles that touch
+    it. Raises Error."""
     with Job(memory, threads, tmpdir, progress) as job:
         chunks = _chunks(job, scan)
         mesh = ffi.new("struct vox_temp_tris **")
@@ -476,7 +476,7 @@ def measure(low: Any, scan: Any, *, boxes: Any = None, memory: int | str | None 
             lib.vox_temp_tris_close(mesh[0])
         result = {"from_scan": _plain(from_scan), "from_mesh": _plain(from_mesh)}
         if boxes is not None:
-            result["boxes"] = [(box.from_scan, box.from_mesh) for box in found]
+            result["boxes"] = [{key: _plain(getattr(box, key)) for key in ("from_scan", "from_mesh")} for box in found]
         return result
 
 

@@ -40,6 +40,7 @@ class Tile:
     part: Part
     name: str = ""
     error: float = 0.0  # no point of the tile and of the scan in its region is farther from the other one
+    distances: dict = field(default_factory=dict)  # of the scan in its region from the level, and of the tile's points
     children: list[Tile] = field(default_factory=list)
 
     def all(self) -> Iterator[Tile]:

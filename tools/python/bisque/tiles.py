@@ -129,8 +129,9 @@ def _measure(steps: Steps, chunks: str, tiles: list[Tile], origin: np.ndarray, p
     boxes = [np.concatenate([tile.low + origin, tile.high + origin]).tolist() for tile in tiles]
     found = steps.run(f"check {tiles[0].level}", [chunks], {"content": _digest(tiles), "boxes": boxes}, [],
                       lambda: core.measure((vertices, faces), chunks, boxes=boxes, progress=steps.report, **job), parts)
-    for tile, errors in zip(tiles, found["boxes"]):
-        tile.error = max(errors)
+    for tile, distances in zip(tiles, found["boxes"]):
+        tile.distances = distances
+        tile.error = max(of["max"] for of in distances.values())
     return {key: found[key] for key in ("from_scan", "from_mesh")}
 
 
@@ -222,7 +223,7 @@ def _make_tiles(steps: Steps, chunks: str, tiles: list[Tile], widths: dict[str, 
     baking = {key: level[key] for key in ("maps", "size", "samples")}
     baked = _bake(steps, name, chunks, tiles, obj, widths, baking, parts, job)
     return {tile.name: {"file": f"{tile.name}.glb", "level": tile.level, "triangles": len(tile.part.faces),
-                        "geometric_error": tile.error, "region": _finite([tile.low + origin, tile.high + origin]),
+                        "geometric_error": tile.error, **tile.distances, "region": _finite([tile.low + origin, tile.high + origin]),
                         **about, "uv": uvs}
             for tile, about, uvs in zip(tiles, baked, unwrapped)}
 

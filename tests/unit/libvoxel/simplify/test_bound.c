@@ -377,6 +377,18 @@ static void sort_mesh(struct bsq_ctx *ctx, const char *path, const char *tris,
     assert_int_equal(vox_sort(ctx, &options, &report), 0);
 }
 
+static void check_figures(const struct vox_distances *d)
+{
+    assert_true(d->mean <= d->rms * (1 + 1e-9) && d->rms <= d->max * (1 + 1e-9));
+    assert_true(d->p99 <= d->max * (1 + 1e-9));
+}
+
+static void check_between(double value, double a, double b)
+{
+    /* Percentiles are cut off at maxima, which are true to 1 %. */
+    assert_true(value >= fmin(a, b) / 1.0101 && value <= fmax(a, b) * 1.0101);
+}
+
 static void try_pair(int kind, uint64_t *seed)
 {
     static struct mesh scan, low;
@@ -391,8 +403,8 @@ static void try_pair(int kind, uint64_t *seed)
     struct vox_temp_tris *temp = NULL;
     struct vox_distances there, back;
     struct vox_measured_box boxes[] = {
-        {{-INFINITY, -INFINITY, -INFINITY}, {INFINITY, INFINITY, INFINITY}, 0, 0},
-        {{-INFINITY, -INFINITY, -INFINITY}, {INFINITY, INFINITY, INFINITY}, 0, 0}};
+        {.low = {-INFINITY, -INFINITY, -INFINITY}, .high = {INFINITY, INFINITY, INFINITY}},
+        {.low = {-INFINITY, -INFINITY, -INFINITY}, .high = {INFINITY, INFINITY, INFINITY}}};
     char what[100];
     snprintf(what, sizeof what, "kind %d, scale %g, offset %g", kind, scale, far);
     make_pair(kind, seed, &scan, &low);
@@ -413,14 +425,23 @@ static void try_pair(int kind, uint64_t *seed)
     check(&scan, &low, there.max / scale, 0x1p-21 * (far + 1), what);
     check(&low, &scan, back.max / scale, 0x1p-21 * (far + 1), what);
     for (int i = 0; i < 2; i++) {
-        check_side(&scan, &low, plane, i ? 1 : -1, boxes[i].from_scan / scale, 0x1p-21 * (far + 1),
-                   what);
-        assert_true(boxes[i].from_mesh <= back.max);
+        check_side(&scan, &low, plane, i ? 1 : -1, boxes[i].from_scan.max / scale,
+                   0x1p-21 * (far + 1), what);
+        assert_true(boxes[i].from_mesh.max <= back.max);
+        check_figures(&boxes[i].from_scan);
+        check_figures(&boxes[i].from_mesh);
     }
-    assert_true(fmax(boxes[0].from_mesh, boxes[1].from_mesh) >=
+    assert_true(fmax(boxes[0].from_mesh.max, boxes[1].from_mesh.max) >=
                 back.max - 0x1p-21 * (far + 1) * scale);
-    assert_true(there.mean <= there.rms * (1 + 1e-9) && there.rms <= there.max * (1 + 1e-9));
-    assert_true(back.mean <= back.rms * (1 + 1e-9) && back.rms <= back.max * (1 + 1e-9));
+    check_figures(&there);
+    check_figures(&back);
+    /* Each point is in one box. */
+    check_between(there.mean, boxes[0].from_scan.mean, boxes[1].from_scan.mean);
+    check_between(there.rms, boxes[0].from_scan.rms, boxes[1].from_scan.rms);
+    check_between(there.p99, boxes[0].from_scan.p99, boxes[1].from_scan.p99);
+    check_between(back.mean, boxes[0].from_mesh.mean, boxes[1].from_mesh.mean);
+    check_between(back.rms, boxes[0].from_mesh.rms, boxes[1].from_mesh.rms);
+    check_between(back.p99, boxes[0].from_mesh.p99, boxes[1].from_mesh.p99);
 }
 
 TEST(no_point_is_farther_than_reported)
