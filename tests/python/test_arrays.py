@@ -146,6 +146,18 @@ def test_small_files_are_read_or_refused_at_every_length(tmp_path):
         assert refused > len(data) / 2
 
 
+def test_numbers_that_only_python_has_are_refused(tmp_path):
+    path = tmp_path / "a.obj"
+    text = OBJ.decode()
+    for wrong in (text.replace("v 1 0", "v 1_0 0"), text.replace("2/2/1", "0_2/2/1"), text.replace("3/3/1", f"{10 ** 30}/3/1")):
+        path.write_text(wrong)
+        with pytest.raises(bisque.Error, match=str(path)) as caught:
+            bisque.mesh.read_mesh(str(path))
+        assert caught.value.status == 65
+    path.write_text(text.replace("v 1 0 0", "v 1 0 0 # a_b"))
+    assert len(bisque.mesh.read_mesh(str(path)).vertices) == 3
+
+
 def test_indices_from_the_end_are_those_of_their_line(tmp_path):
     path = tmp_path / "a.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 5 0 0\nv 6 0 0\nv 5 1 0\nf -3 -2 -1\n")

@@ -304,7 +304,7 @@ def _read_obj(path: str) -> Mesh:
     corners: list[list] = []
     with open(path, encoding="utf-8", errors="replace") as file:
         for number, line in enumerate(file, 1):
-            words = line.split()
+            words = line.partition("#")[0].replace("_", "?").split()  # numbers of Python may have _
             try:
                 if words and words[0] in rows:
                     numbers = [float(word) for word in words[1:1 + needed[words[0]]]]
@@ -340,6 +340,8 @@ def read_mesh(path: str) -> Mesh:
         raise Error(66, f"{path}: {error.strerror}") from None
     except (KeyError, IndexError, UnicodeDecodeError):
         raise Error(65, f"{path}: only PLY files of bisque-simplify are read here") from None
+    except OverflowError:
+        raise Error(65, f"{path}: a face refers to a line that there is not") from None
     except ValueError as error:
         raise Error(65, f"{path}: {error}") from None
     except Error as error:
