@@ -395,6 +395,13 @@ def test_failures_have_their_codes(given, code, text, tmp_path):
     assert not out.exists()
 
 
+def test_names_of_any_bytes(tmp_path):
+    """Programs print bytes that are not UTF-8 as escapes."""
+    folder = Path(os.fsdecode(os.fsencode(tmp_path / "in") + b"\xe4\n\\x41"))
+    scan, out = write_scan(folder), folder / os.fsdecode(b"\xff.glb")
+    assert judge(run_asset(scan, "-o", out, "--triangles", 60, "--size", 32, "--report"), out)["warnings"] == []
+
+
 def test_scans_that_are_no_files(tmp_path):
     fifo, out = tmp_path / "fifo.obj", tmp_path / "a.glb"
     os.mkfifo(fifo)

@@ -138,7 +138,7 @@ def _bake(steps: Steps, scan: str, obj: Path, files: dict, options: dict, job: d
     words += ["--view", f"up={options['up']}"] if options["up"] else []
     report = programs.run("bisque-bake", [*words, "--", scan, obj], steps.report, steps.heard.warn, [steps.lock])
     for file in report["files_read"]:
-        steps.heard.read(file["path"], file["identity"])
+        steps.heard.read(programs.path_of(file["path"]), file["identity"])
     return report
 
 

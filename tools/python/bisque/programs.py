@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import tempfile
@@ -21,6 +22,13 @@ def environment() -> dict[str, str]:
     paths = [str(PACKAGE.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
     return {**os.environ, "BSQ_PARENT": str(os.getpid()), "PYTHONSAFEPATH": "1",
             "PYTHONPATH": os.pathsep.join(paths)}
+
+
+def path_of(printed: str) -> str:
+    """Returns the path that a program printed. Bytes that are not UTF-8 are there as \\xHH."""
+    if os.path.lexists(printed):
+        return printed
+    return re.sub(r"\\x([89a-f][0-9a-f])", lambda found: os.fsdecode(bytes.fromhex(found[1])), printed)
 
 
 def _fail(name: str, code: int, lines: list[str]) -> None:
