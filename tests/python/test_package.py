@@ -238,6 +238,12 @@ def test_uvs_are_checked(scan, library):
     assert report["outside_triangles"] > 0
 
 
+def test_temporary_files_are_named_without_their_folder(low):
+    outside = bisque.Mesh(low.vertices, low.faces, low.uvs + [3, 0], low.uv_faces)
+    with pytest.raises(bisque.Error, match="^low.obj: no triangle is in tile 1001"):
+        bisque.check_uvs(outside, 64)
+
+
 def test_a_library_that_does_not_end_is_stopped(scan):
     with pytest.raises(bisque.UnwrapError, match="fewer triangles"):
         bisque.unwrap(scan, seconds=1e-6)

@@ -174,7 +174,8 @@ class Job:
         if not status:
             raise Error(70, "the call into the library failed")
         if status[0] < 0:
-            raise Error(-status[0], _text(lib.bsq_error(self.ctx)))
+            message = _text(lib.bsq_error(self.ctx))
+            raise Error(-status[0], message.replace(f"{self.folder}{os.sep}", "") if self.folder else message)
         if listener.get():
             self.tell_files()
 
