@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 import referencing
 import trimesh
+from bisque.asset import PUBLISHED
+from bisque.steps import Folder
 from conftest import HEIGHT, RADIUS, command_of, radius_at, run_asset, sphere
 from PIL import Image
 
@@ -413,6 +415,11 @@ def test_wrong_options_are_refused(tmp_path, words, code, line):
     assert not (tmp_path / "out").exists()
 
 
+def test_places_in_the_west_and_south_are_values(tmp_path):
+    done = run_asset(tmp_path / "none.obj", "-o", tmp_path / "out", "--tiles", "--place", "-71.06,-42.3,10")
+    assert done.returncode == 66 and "none.obj" in done.stderr
+
+
 def test_options_of_tiles_need_tiles(tmp_path):
     bisque.Mesh(*sphere(4, False)).save(tmp_path / "scan.obj")
     done = run_asset(tmp_path / "scan.obj", "-o", tmp_path / "out.glb", "--place", "1,2,3")
@@ -421,13 +428,26 @@ def test_options_of_tiles_need_tiles(tmp_path):
 
 def test_a_folder_of_others_is_refused(tmp_path):
     bisque.Mesh(*sphere(4, False)).save(tmp_path / "scan.obj")
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "notes.txt").write_text("mine")
-    done = run_asset(tmp_path / "scan.obj", "-o", tmp_path / "out", "--tiles")
-    assert done.returncode == 73 and "notes.txt, which is not of bisque-asset" in done.stderr
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["notes.txt"]
+    for name in ("notes.txt", "index.html", "tileset.json", "tiles.json"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / name).write_text("{}")
+        done = run_asset(tmp_path / "scan.obj", "-o", tmp_path / name, "--tiles")
+        assert done.returncode == 73 and f"{name}, which is not of bisque-asset" in done.stderr
+        assert [path.read_text() for path in (tmp_path / name).iterdir()] == ["{}"]
     done = run_asset(tmp_path / "scan.obj", "-o", tmp_path, "--tiles")
     assert done.returncode == 64 and "move it elsewhere" in done.stderr
+
+
+def test_a_second_job_leaves_copies_of_the_first(tmp_path):
+    """Files that the first one is about to give their names, which its note tells."""
+    bisque.Mesh(*sphere(4, False)).save(tmp_path / "scan.obj")
+    first = Folder(tmp_path / "out")
+    (first.path / PUBLISHED).write_text('[["0_1.glb", "x"]]')
+    (tmp_path / "out/.0_1.glb.new").write_text("complete")
+    done = run_asset(tmp_path / "scan.obj", "-o", tmp_path / "out", "--tiles")
+    assert done.returncode == 73 and "another bisque-asset is at work here" in done.stderr
+    assert (tmp_path / "out/.0_1.glb.new").read_text() == "complete"
+    first.close(True)
 
 
 def test_a_scan_without_colours_has_no_colour_map(tmp_path):

@@ -196,8 +196,9 @@ def _make_tiles(a: argparse.Namespace, screen: _Screen) -> dict:
 
 
 def _make(arguments: list[str], screen: _Screen) -> None:
-    # -z after --up is no option.
-    joined = re.sub(r"(?<=\0--up)\0(?=-[xyz]\0)", "=", "\0".join(["", *arguments, ""])).split("\0")[1:-1]
+    # -z after --up is no option, nor is -71.1,42.4,9 after --place.
+    joined = re.sub(r"(?<=\0--up)\0(?=-[xyz]\0)|(?<=\0--place)\0(?=-[\d.])", "=",
+                    "\0".join(["", *arguments, ""])).split("\0")[1:-1]
     parser = _parser()
     parser.refuse_unknown(joined)
     a = parser.parse_args(joined)

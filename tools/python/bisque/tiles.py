@@ -292,12 +292,10 @@ def make_page(path: Path) -> bool:
 # ---- all of it ----
 
 def _check_folder(output: Path) -> None:
-    """Refuses a folder that has files of others. Raises Error."""
-    if output.exists() and not output.is_dir():
-        raise Error(73, f"{output}: this is no folder")
-    own = {PAPER, "tileset.json", "index.html", Folder.NAME}
-    own |= {name for name, _ in older_files(output, output / "x", output / Folder.NAME / PUBLISHED, PAPER)}
-    for name in sorted(os.listdir(output)) if output.exists() else []:
+    """Refuses a folder that has files of others. Nobody else may publish there meanwhile. Raises Error."""
+    found = {name for name, _ in older_files(output, output / "x", output / Folder.NAME / PUBLISHED, PAPER)}
+    own = {Folder.NAME} | ({PAPER, *found} if found else set())
+    for name in sorted(os.listdir(output)):
         if name not in own:
             raise Error(73, f"{output}: this folder has {name}, which is not of bisque-asset: choose a new one")
 
@@ -346,7 +344,8 @@ def tiles(scan: Any, output: str | os.PathLike, *, tile_triangles: int = 10_000,
     for path in [*paths, *([os.fsdecode(texture)] if texture else [])]:
         if output.resolve() in Path(path).resolve().parents:
             raise ValueError(f"{path}: the files in {output} are replaced; move it elsewhere")
-    _check_folder(output)
+    if output.exists() and not output.is_dir():
+        raise Error(73, f"{output}: this is no folder")
     job = {"memory": core.parse_bytes(memory), "threads": core.check_number("threads", threads, 0, 65536)}
     level = {"size": size, "maps": maps, "samples": samples, "library": library, "seconds": unwrap_seconds}
     options = {"tile_triangles": tile_triangles, "triangles": triangles, "size": size, "maps": maps,
@@ -354,6 +353,7 @@ def tiles(scan: Any, output: str | os.PathLike, *, tile_triangles: int = 10_000,
                "up": up, "units": units, "scale": scale, "place": place}
     private, done = Folder(output), False
     try:
+        _check_folder(output)
         steps = Steps(private, progress, 1)
         steps.total -= WEIGHTS["voxelize"]
         chunks, about = sorted_scan(steps, scan, paths, texture, job)
