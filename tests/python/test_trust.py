@@ -206,6 +206,31 @@ def test_files_of_the_user_stay(tmp_path):
         assert done.returncode == 64 and "would be replaced" in done.stderr and given.exists()
 
 
+@pytest.mark.parametrize("name, early", [("low.obj", True), ("normal.png", False), ("asset.json", False)])
+def test_files_of_the_user_are_not_replaced(name, early, tmp_path):
+    """They have names that the asset would write; or they were its files, and the user changed them."""
+    scan, out, mine = write_scan(tmp_path / "in"), tmp_path / "a.glb", tmp_path / "a_asset" / name
+    mine.parent.mkdir()
+    mine.write_text("mine")
+
+    def refused():
+        begun = []
+        with pytest.raises(bisque.Error, match=f"{mine}: bisque-asset did not make this") as caught:
+            bisque.asset(scan, out, progress=lambda *_: begun.append(1), **HOW)
+        assert caught.value.status == 73 and mine.read_text() == "mine" and bool(begun) != early
+
+    refused()
+    assert not out.exists()
+    mine.unlink()
+    bisque.asset(scan, out, **HOW)
+    if name != "asset.json":  # which is the note of what was made
+        mine.write_text("mine")
+        refused()
+        mine.unlink()
+    bisque.asset(scan, out, **HOW)
+    certificate_of(out)
+
+
 def test_an_image_of_the_scan_is_not_replaced(tmp_path):
     """The scan's own texture has the name of a map that the asset would write."""
     scan, out = write_scan(tmp_path / "in"), tmp_path / "a.glb"

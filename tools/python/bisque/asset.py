@@ -15,7 +15,7 @@ import sys
 import time
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, Iterable
 
 import numpy as np
 
@@ -287,6 +287,7 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
     try:
         if elsewhere:
             kept = Folder(Path(keep))
+        _refuse_early(made, output, private.path / PUBLISHED, chosen)
         steps = Steps(kept, progress, len(chosen))
         chunks, about = sorted_scan(steps, scan, paths, texture, job)
         level["maps"] = materials.choose_maps(maps, PRESETS[preset]["maps"], about)
@@ -420,6 +421,24 @@ def older_files(made: Path, output: Path, note: Path, paper: str) -> set[tuple[s
     return found
 
 
+def refuse_others(targets: Iterable[Path], made: Path, older: set[tuple[str, str]]) -> None:
+    """Refuses to replace files that are not those of an older asset: older_files(). Raises Error."""
+    for target in targets:
+        if target.exists() and not (target.is_file() and (os.path.relpath(target, made), sha256(target)[0]) in older):
+            raise Error(73, f"{target}: bisque-asset did not make this, or it was changed: move it elsewhere")
+
+
+def _refuse_early(made: Path, output: Path, note: Path, chosen: list[tuple[int, int]]) -> None:
+    """Refuses to replace files before the work, of those whose names are known. Raises Error."""
+    folders, others = [made], []
+    if len(chosen) > 1:
+        folders = [made / str(number) for number in range(len(chosen))]
+        others = [output.with_name(museum.SCENE), *(path for number, one in enumerate(chosen)
+                                                    for _, path in museum.outputs(output, number, *one))]
+    others += [folder / name for folder in folders for name in ("low.obj", "low.mtl", "preview.png")]
+    refuse_others(others, made, older_files(made, output, note, "asset.json"))
+
+
 def _sync(path: Path) -> None:
     """Makes sure that a file, or the names in a folder, are on the disk."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
@@ -442,6 +461,9 @@ def publish(certificate: dict, made: Path, output: Path, note: Path, steps: Step
     for level in certificate["levels"]:
         level["files"] = {target.name: sums[target] for target in level["files"]}
     older, paper = older_files(made, output, note, paper_name), made / paper_name
+    refuse_others((target for target in pairs if target != output), made, older)
+    if paper.exists() and not older:
+        refuse_others([paper], made, older)
     own = {os.path.relpath(target, made): checksum for target, checksum in sums.items()}
     names = {target: Path(os.path.realpath(target)) for target in [*pairs, paper]}
     copies = {target: _copy_of(target) for target in names}
