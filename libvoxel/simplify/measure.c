@@ -318,7 +318,7 @@ static int measure_scan(struct vox_measuring *m)
 {
     const uint64_t chunks = fmt_tris_get_header(m->file)->chunk_count;
     struct measure_slot *slots = NULL;
-    unsigned slot_count;
+    unsigned slot_count = 0;
     int status = 0;
     for (uint64_t i = 0; i < chunks; i += GUESS_CHUNKS + chunks / GUESS_CHUNKS_MAX)
         BSQ_TRY(guess_chunk(m, i));
