@@ -54,6 +54,14 @@ def write_inputs(folder, given):
     shutil.copytree(kept, folder, dirs_exist_ok=True)
 
 
+def fitting(words):
+    """Returns a command without options that a mesh of the user does not have, if it has one."""
+    if "--low" not in words:
+        return words
+    others = ("--triangles", "--min-component", "--close-holes", "--hard-angle", "--winding")
+    return [word for i, word in enumerate(words) if word not in others and words[i - 1] not in others]
+
+
 def draw_asset(draw):
     words = ["-c", ASSET, draw.choice(["in/scan.obj", "in/scan.obj", "in/scan.tris"]), "-o", "a.glb"]
     words += ["--preset", "museum", "--units", "m"] if draw.random() < 0.2 else [
@@ -62,7 +70,7 @@ def draw_asset(draw):
         if draw.random() < (0.5 if name == "--keep" else 0.2):
             value = draw.choice(values)
             words += [name] if value is None else [name, value]
-    return words
+    return fitting(words)
 
 
 def draw_unwrap(draw):
@@ -71,7 +79,7 @@ def draw_unwrap(draw):
 
 def changed(draw, drawn, words):
     """Returns another command like the one of these words, or the same one."""
-    return draw.choice([words, drawn(draw), words + ["--triangles", "50"] if drawn is draw_asset else words])
+    return draw.choice([words, drawn(draw), fitting(words + ["--triangles", "50"]) if drawn is draw_asset else words])
 
 
 def run(folder, words, **faults):

@@ -79,7 +79,7 @@ def draw_options(draw, lows, folder):
             # Values that make no sense stand last; most draws are of the others.
             value = draw.choice(values[:max(1, len(values) // 2)] if draw.random() < 0.9 else values)
             options += [name] if value is None else [name, value]
-    return options if {"--triangles", "--error"} & set(options) else [*options, "--triangles", 40]
+    return options if {"--triangles", "--error", "--low"} & set(options) else [*options, "--triangles", 40]
 
 
 @pytest.mark.parametrize("seed", range(10 if LONG else 1))

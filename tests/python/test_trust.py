@@ -409,13 +409,15 @@ def test_results_that_cannot_be_printed_are_an_error(tmp_path):
     (("--hard-angle", "181"), 64, "hard_angle"), (("--winding", "left"), 64, "--winding"),
     (("--unwrap-seconds", "-1"), 64, "unwrap_seconds"), (("--maps", "nothing"), 65, "nothing"),
     (("--memory", "1K"), 71, "memory"), (("--low", "missing.obj"), 66, "missing.obj"), (("--low", "/"), 66, "/"),
+    (("--low", "a.obj", "--hard-angle", "20"), 64, "hard_angle: not with low"),
+    (("--low", "a.obj", "--triangles", "60"), 64, "triangles: not with low"),
     (("--keep", "/dev/null/k"), 73, "/dev/null"), (("--texture", "missing.png"), 66, "missing.png"),
     (("-o", "/dev/null/a.glb"), 73, "/dev/null"), (("-o", "a.obj"), 64, ".glb"), (("-o", "/proc/a.glb"), 73, "/proc"),
     (("-o", "a<MAP>.glb"), 64, "<MAP>"), (("--keep", "k<UDIM>"), 64, "<UDIM>"),
     (("--unwrap-seconds", "0"), 65, "did not unwrap")])
 def test_failures_have_their_codes(given, code, text, tmp_path):
     scan, out = write_scan(tmp_path / "in"), tmp_path / "a.glb"
-    done = run_asset(scan, "-o", out, "--triangles", 60, "--size", 32, *given)
+    done = run_asset(scan, "-o", out, *["--triangles", 60] * ("--low" not in given), "--size", 32, *given)
     assert judge(done, out) is None and done.returncode == code and text in done.stderr, done.stderr
     assert not out.exists()
 

@@ -248,7 +248,7 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
     hard_angle: edges with a larger angle are hard if the scan has them; 180: none is. winding: "auto" turns what
     is inside out, "keep" does not. up, units, scale: the axis that points upwards in the scan, "-z" also, its unit
     (mm, cm, m or in), and a factor; the GLB file has y upwards and metres.
-    low: a low-poly mesh to use; it is unwrapped if it has no UVs. texture: an image for all faces
+    low: a low-poly mesh to use instead, which only is unwrapped if it has no UVs. texture: an image for all faces
     with texture coordinates, instead of those that the scan names. surface: "grid", "exact", or
     "auto", by the size of a texel. images, geometry: of the GLB file, as of pack(); images are those of the
     preset. report: also makes a page to look at, report.html. command: the
@@ -262,6 +262,10 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
     place.check_options(**placing)
     given_low = {"min_component": min_component, "min_triangles": min_triangles, "close_holes": close_holes,
                  "hard_angle": hard_angle, "winding": winding}
+    if low is not None:
+        for name, value in {"triangles": triangles, "error": error, **given_low}.items():
+            if value != asset.__kwdefaults__[name]:
+                raise ValueError(f"{name}: not with low, which stays as it is")
     mending = repair.check_options(triangles, error, place.unit_of(units, scale), **given_low)
     chosen = _check_options(output, preset, samples, surface, library, unwrap_seconds)
     packing = {"images": images or PRESETS[preset]["images"], "geometry": geometry}
@@ -272,8 +276,7 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
     paths = [] if core._is_memory(scan) else core._paths(scan)
     low = os.fsdecode(low) if is_path(low) else low
     given = [*paths, *([low] if is_path(low) else []), *([os.fsdecode(texture)] if texture else [])]
-    maps = (maps,) if isinstance(maps, str) else maps or ()
-    maps = list(dict.fromkeys(name.removeprefix("transfer:") for name in maps))
+    maps = list(dict.fromkeys(name.removeprefix("transfer:") for name in core.own_names(maps or ())))
     _check_inputs(output, made, Path(keep) if keep else made, given)
     if len(chosen) > 1:
         museum.check(output, made, bool(units or scale or not place.name_of(paths)))

@@ -117,11 +117,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--unwrap", choices=uv.LIBRARIES, default=uv.USUAL, metavar="LIBRARY",
                         help="uvunwrap or xatlas")
     parser.add_argument("--unwrap-seconds", type=float, default=300, metavar="S")
-    parser.add_argument("--min-component", default="0", metavar="P",
+    parser.add_argument("--min-component", default=0, metavar="P",
                         help="drop pieces that are smaller than P %% of the scan, by diagonals: 5%%")
     parser.add_argument("--min-triangles", type=int, default=0, metavar="N",
                         help="drop pieces of fewer triangles of the scan")
-    parser.add_argument("--close-holes", default="0", metavar="SIZE",
+    parser.add_argument("--close-holes", default=0, metavar="SIZE",
                         help="close holes of the low-poly mesh up to a size, such as 5cm or 2%%")
     parser.add_argument("--hard-angle", type=float, default=40, metavar="DEG",
                         help="edges with a larger angle are hard where the scan has them; 180: none is")
@@ -187,7 +187,7 @@ def _refuse_others(a: argparse.Namespace, parser: argparse.ArgumentParser) -> No
 
 def _make_tiles(a: argparse.Namespace, screen: _Screen) -> dict:
     more = {"size": a.size} if a.size is not None else {}
-    more |= {"maps": a.maps.split(",")} if a.maps else {}
+    more |= {"maps": core.own_names(a.maps.split(","))} if a.maps else {}
     return tiles(a.scan if len(a.scan) > 1 else a.scan[0], a.output, tile_triangles=a.tile_triangles,
                  triangles=a.triangles, samples=a.samples, library=a.unwrap, unwrap_seconds=a.unwrap_seconds,
                  min_component=a.min_component, min_triangles=a.min_triangles, up=a.up, units=a.units, scale=a.scale,

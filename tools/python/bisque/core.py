@@ -561,6 +561,12 @@ def map_names() -> dict[str, int]:
     return names
 
 
+def own_names(maps: str | Sequence[str]) -> list[str]:
+    """Returns maps by their own names, as "color" for "basecolor". "opacity" stays: it is a channel of scans."""
+    others = {_text(lib.bake_map_alias(i)): name for name, i in map_names().items() if name != "mask"}
+    return [others.get(name) or name for name in ((maps,) if isinstance(maps, str) else maps)]
+
+
 def check_maps(maps: Sequence[str]) -> None:
     """Refuses names that are nearly those of maps, by ValueError; all others are channels of the scan."""
     names = map_names()
@@ -574,7 +580,7 @@ def check_maps(maps: Sequence[str]) -> None:
 def _choose_maps(job: Job, options: Any, maps: Sequence[str]) -> None:
     """Sets the bits of maps; other names are transfer maps, of channels that the scan has."""
     names, transfers = map_names(), []
-    maps = (maps,) if isinstance(maps, str) else maps
+    maps = own_names(maps)
     check_maps(maps)
     for name in maps:
         if name in names:
