@@ -246,19 +246,46 @@ static bool fall_back(struct bake_device *device, const char *why)
     return atomic_load(&device->lost);
 }
 
+/* Returns 1 after a step of the GPU that did not fail; 0 if the processor goes on. */
+static int went_well(struct bake_device *device, int status, const char *why)
+{
+    if (status == 0)
+        return 1;
+    return fall_back(device, why) ? 0
+                                  : bsq_fail(device->ctx, status, "%s: %s", device->gpu->name, why);
+}
+
+unsigned bake_device_windows(const struct bake_device *device)
+{
+    return device->gpu ? device->gpu->windows : 1;
+}
+
+int bake_device_begin(struct bake_device *device, const struct bk_patch *patch,
+                      const uint32_t *sample_triangles, unsigned worker, unsigned window)
+{
+    char why[BAKE_WHY_BYTES] = "";
+    if (!device->gpu || atomic_load(&device->lost))
+        return 0;
+    return went_well(
+        device, bake_gpu_begin(device->gpu, patch, sample_triangles, worker, window, why), why);
+}
+
+int bake_device_end(struct bake_device *device, const struct bk_patch *patch, float *texels,
+                    unsigned worker, unsigned window)
+{
+    char why[BAKE_WHY_BYTES] = "";
+    return went_well(device, bake_gpu_end(device->gpu, patch, texels, worker, window, why), why);
+}
+
 int bake_device_trace(struct bake_device *device, const struct bk_patch *patch,
                       const uint32_t *sample_triangles, float *texels, unsigned worker)
 {
-    char why[BAKE_WHY_BYTES] = "";
-    if (device->gpu && !atomic_load(&device->lost)) {
-        const int status =
-            bake_gpu_trace(device->gpu, patch, sample_triangles, texels, worker, why);
-        if (status == 0)
-            return 0;
-        if (!fall_back(device, why))
-            return bsq_fail(device->ctx, status, "%s: %s", device->gpu->name, why);
-    }
-    return bake_native_trace(device->native, patch, sample_triangles, texels, worker);
+    int status = bake_device_begin(device, patch, sample_triangles, worker, 0);
+    if (status > 0)
+        status = bake_device_end(device, patch, texels, worker, 0);
+    if (status == 0)
+        return bake_native_trace(device->native, patch, sample_triangles, texels, worker);
+    return status < 0 ? status : 0;
 }
 
 /* ---- single rays ---- */
@@ -289,14 +316,16 @@ int bake_device_trace_rays(struct bake_device *device, const struct bake_ray_bat
     char why[BAKE_WHY_BYTES] = "";
     const float *hits;
     if (device->gpu && !atomic_load(&device->lost)) {
-        const int status = bake_gpu_trace_rays(device->gpu, batch->rays->origin,
-                                               (uint32_t)batch->count, (float)(batch->t_min / unit),
-                                               (float)(batch->t_max / unit), &hits, worker, why);
-        if (status == 0)
+        const int status =
+            went_well(device,
+                      bake_gpu_trace_rays(device->gpu, batch->rays->origin, (uint32_t)batch->count,
+                                          (float)(batch->t_min / unit),
+                                          (float)(batch->t_max / unit), &hits, worker, why),
+                      why);
+        if (status > 0)
             device_take_hits(hits, unit, batch);
-        if (status == 0 || !fall_back(device, why))
-            return status == 0 ? 0
-                               : bsq_fail(device->ctx, status, "%s: %s", device->gpu->name, why);
+        if (status != 0)
+            return status < 0 ? status : 0;
     }
     bake_trace_rays(device->scene.grid, &device->scene.params, unit, batch, 0, batch->count);
     return 0;

@@ -24,12 +24,20 @@ void bake_device_close(struct bake_device *device); /* NULL is allowed */
  * called while patches are traced. */
 const char *bake_device_name(const struct bake_device *device);
 
-/* Traces one patch: sample_triangles in, width * height texels of
+/* Traces one patch and waits for it: sample_triangles in, width * height texels of
  * bk_texel_floats(params.maps) floats out, row 0 at the top. Several
  * workers may call this at a time with distinct `worker` (< bsq_threads). Native code traces on the
  * calling thread; a GPU has a stream and buffers for each worker. */
 int bake_device_trace(struct bake_device *device, const struct bk_patch *patch,
                       const uint32_t *sample_triangles, float *texels, unsigned worker);
+/* Start a patch, and wait for it. A worker may start several patches, one in each window; window 0
+ * is that of bake_device_trace(). They return 1 if the device did, and 0 if it is the processor or
+ * was lost: then bake_device_trace() is to follow. */
+unsigned bake_device_windows(const struct bake_device *device); /* at least 1 */
+int bake_device_begin(struct bake_device *device, const struct bk_patch *patch,
+                      const uint32_t *sample_triangles, unsigned worker, unsigned window);
+int bake_device_end(struct bake_device *device, const struct bk_patch *patch, float *texels,
+                    unsigned worker, unsigned window);
 
 /* Traces single rays through the job's grid for a job with curvature, as bake_trace_rays() does,
  * and sets the hits' t, triangle and normal; the batch asks for nothing else, and has at most

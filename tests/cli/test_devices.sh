@@ -46,6 +46,19 @@ if [ -s "$ptx" ]; then
         same cpu_$map.exr auto_$map.exr
     done
 
+    # The next patch is copied and launched before the only worker waits for one.
+    FAKE_CUDA_LOG=calls cuda --device cuda --threads 1 --size 384x256 --maps normal,ao --rays ao=4 vase.nvdb low.obj -o 'x_<MAP>.exr'
+    code 0
+    awk '
+        $1 == "fetch" { fetching[$2] = 1; patches++ }
+        $1 == "wait" && ($2 in fetching) {
+            delete fetching[$2]
+            for (other in fetching) beside++
+        }
+        END { exit !(patches > 4 && beside == patches - 1) }' calls
+    check "while a worker waits for a patch, the GPU has the next one" $?
+    rm calls x_*
+
     # A GPU fails during the job: "auto" falls back to the processor and makes the same map, "cuda" fails.
     FAKE_CUDA_FAIL=cuLaunchKernel:2:719 cuda --device auto --threads 1 $maps -o 'lost_<MAP>.exr' --json
     json '.device == "Fake GPU 0 (CUDA), then cpu, 1 thread"'

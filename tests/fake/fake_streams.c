@@ -27,6 +27,17 @@ static CUstream streams; /* protected by the lock */
 static struct CUstream_st default_stream = {.lock = PTHREAD_MUTEX_INITIALIZER};
 static unsigned streams_made;
 
+static void note_call(const char *kind, CUstream stream)
+{
+    const char *path = getenv("FAKE_CUDA_LOG");
+    FILE *file = path ? fopen(path, "a") : NULL;
+
+    if (!file)
+        return;
+    fprintf(file, "%s %u\n", kind, stream->number); /* in one piece, when it is closed */
+    fclose(file);
+}
+
 /* Notes that a stream starts or ends work that uses memory. Requires the lock. Returns false if
  * another stream has pending work on the same memory and either writes: their order is undefined.
  */
@@ -58,6 +69,8 @@ CUresult fake_append(CUstream stream, const struct work *work)
         return INVALID_VALUE;
     }
     stream->unsubmitted |= work->kind == LAUNCH;
+    if (work->kind == LAUNCH)
+        note_call("launch", stream);
     pthread_mutex_lock(&fake.lock);
     alone = note_uses(work, stream, 1);
     pthread_mutex_unlock(&fake.lock);
@@ -171,6 +184,7 @@ CUresult cuMemcpyHtoDAsync_v2(CUdeviceptr to, const void *from, size_t bytes, CU
     BEGIN_IN_CONTEXT;
     if (!work.to || !fake_is_locked(from, bytes))
         return INVALID_VALUE;
+    note_call("send", stream);
     return fake_append(stream, &work);
 }
 
@@ -186,6 +200,7 @@ CUresult cuMemcpyDtoHAsync_v2(void *to, CUdeviceptr from, size_t bytes, CUstream
     BEGIN_IN_CONTEXT;
     if (!work.from || !fake_is_locked(to, bytes))
         return INVALID_VALUE;
+    note_call("fetch", stream);
     return fake_append(stream, &work);
 }
 
@@ -219,6 +234,8 @@ CUresult cuEventRecord(CUevent event, CUstream stream)
 CUresult cuEventSynchronize(CUevent event)
 {
     const bool busy = event->pending && !event->blocking;
+    if (event->stream)
+        note_call("wait", event->stream);
     if (event->pending)
         run_stream(event->stream, event);
     BEGIN_IN_CONTEXT;

@@ -73,7 +73,7 @@ static uint64_t found_bytes(const struct bake_gpu *gpu)
 
 static uint64_t worker_bytes(const struct bake_gpu *gpu)
 {
-    return gpu->worker_count *
+    return gpu->worker_count * gpu->windows *
            (sent_bytes(gpu) + fetched_bytes(gpu) + point_bytes(gpu) + found_bytes(gpu));
 }
 
@@ -121,7 +121,7 @@ static int share_memory(struct bake_gpu *gpu, const struct bake_scene *scene)
 
 static struct bake_stream *upload_stream(const struct bake_gpu *gpu)
 {
-    return &gpu->streams[gpu->worker_count];
+    return &gpu->streams[gpu->worker_count * gpu->windows];
 }
 
 /* Keeps the failure of an upload. Returns BSQ_ENODEVICE; 0 if there is none. */
@@ -416,27 +416,25 @@ static struct bake_failure gpu_send(struct bake_gpu *gpu, struct bake_stream *st
     return driver->send(gpu, stream, stream->host[0], bytes, stream->samples, 0, BAKE_SAMPLES);
 }
 
-/* Fetches what a worker's launches wrote, into the host memory of the stream, and waits for it. */
-static struct bake_failure gpu_fetch(struct bake_gpu *gpu, struct bake_stream *stream,
-                                     uint64_t bytes)
+/* Waits for what a worker fetches, in the host memory of the stream. */
+static struct bake_failure gpu_receive(struct bake_gpu *gpu, struct bake_stream *stream)
 {
-    BAKE_TRY_CALL(gpu->driver->fetch(gpu, stream, bytes));
+    if (gpu->driver->attach)
+        BAKE_TRY_CALL(gpu->driver->attach(gpu));
     BAKE_TRY_CALL(gpu->driver->wait(gpu, stream, BAKE_TEXELS));
     BAKE_TRY_CALL(gpu->driver->times(gpu, stream));
     note_times(gpu, stream);
     return BAKE_NO_FAILURE;
 }
 
-static struct bake_failure gpu_trace_patch(struct bake_gpu *gpu, struct bake_stream *stream,
+static struct bake_failure gpu_begin_patch(struct bake_gpu *gpu, struct bake_stream *stream,
                                            const struct bk_patch *patch,
-                                           const uint32_t *sample_triangles, float *texels)
+                                           const uint32_t *sample_triangles)
 {
     const uint64_t count = (uint64_t)patch->width * patch->height;
     BAKE_TRY_CALL(gpu_send(gpu, stream, sample_triangles, sample_bytes(gpu, count)));
     BAKE_TRY_CALL(launch_batches(gpu, stream, patch));
-    BAKE_TRY_CALL(gpu_fetch(gpu, stream, texel_bytes(gpu, count)));
-    memcpy(texels, stream->host[0], texel_bytes(gpu, count));
-    return BAKE_NO_FAILURE;
+    return gpu->driver->fetch(gpu, stream, texel_bytes(gpu, count));
 }
 
 /* Describes the failure of a worker's work, and releases a stream that could not be opened. */
@@ -451,17 +449,31 @@ static int end_worker(struct bake_gpu *gpu, struct bake_stream *stream, struct b
     return BSQ_ENODEVICE;
 }
 
-int bake_gpu_trace(struct bake_gpu *gpu, const struct bk_patch *patch,
-                   const uint32_t *sample_triangles, float *texels, unsigned worker, char *why)
+static struct bake_stream *stream_of(const struct bake_gpu *gpu, unsigned worker, unsigned window)
+{
+    return &gpu->streams[window * gpu->worker_count + worker];
+}
+
+int bake_gpu_begin(struct bake_gpu *gpu, const struct bk_patch *patch,
+                   const uint32_t *sample_triangles, unsigned worker, unsigned window, char *why)
 {
     if (worker >= gpu->worker_count || (uint64_t)patch->width * patch->height > gpu->patch_texels) {
         snprintf(why, BAKE_WHY_BYTES, "worker %u, patch of %u x %u texels: out of range", worker,
                  (unsigned)patch->width, (unsigned)patch->height);
         return BSQ_EBUG;
     }
-    struct bake_stream *stream = &gpu->streams[worker];
-    return end_worker(gpu, stream, gpu_trace_patch(gpu, stream, patch, sample_triangles, texels),
-                      why);
+    struct bake_stream *stream = stream_of(gpu, worker, window);
+    return end_worker(gpu, stream, gpu_begin_patch(gpu, stream, patch, sample_triangles), why);
+}
+
+int bake_gpu_end(struct bake_gpu *gpu, const struct bk_patch *patch, float *texels, unsigned worker,
+                 unsigned window, char *why)
+{
+    struct bake_stream *stream = stream_of(gpu, worker, window);
+    const int status = end_worker(gpu, stream, gpu_receive(gpu, stream), why);
+    if (status == 0)
+        memcpy(texels, stream->host[0], texel_bytes(gpu, (uint64_t)patch->width * patch->height));
+    return status;
 }
 
 /* ---- single rays ---- */
@@ -478,14 +490,15 @@ static struct bake_failure gpu_trace_rays(struct bake_gpu *gpu, struct bake_stre
     BAKE_TRY_CALL(gpu_send(gpu, stream, values, rays->count * BK_RAY_FLOATS * sizeof(float)));
     stream->launches++;
     BAKE_TRY_CALL(gpu->driver->launch(gpu, stream, &launch));
-    return gpu_fetch(gpu, stream, rays->count * BK_HIT_FLOATS * sizeof(float));
+    BAKE_TRY_CALL(gpu->driver->fetch(gpu, stream, rays->count * BK_HIT_FLOATS * sizeof(float)));
+    return gpu_receive(gpu, stream);
 }
 
 int bake_gpu_trace_rays(struct bake_gpu *gpu, const float *rays, uint32_t count, float t_min,
                         float t_max, const float **hits, unsigned worker, char *why)
 {
     const struct bk_single_rays of = {t_min, t_max, count, 32};
-    struct bake_stream *stream = &gpu->streams[worker];
+    struct bake_stream *stream = stream_of(gpu, worker, 0);
     const struct bake_failure failure = gpu_trace_rays(gpu, stream, rays, &of);
     *hits = (const float *)(const void *)stream->host[0];
     return end_worker(gpu, stream, failure, why);
@@ -498,7 +511,7 @@ struct bake_device_times bake_gpu_times(struct bake_gpu *gpu)
     struct bake_device_times times = {.upload = gpu->upload_seconds,
                                       .copies = bake_time_spans_seconds(&gpu->copies),
                                       .kernels = bake_time_spans_seconds(&gpu->kernels)};
-    for (unsigned i = 0; i < gpu->worker_count; i++)
+    for (unsigned i = 0; i < gpu->worker_count * gpu->windows; i++)
         times.launches += gpu->streams[i].launches;
     return times;
 }
@@ -506,7 +519,7 @@ struct bake_device_times bake_gpu_times(struct bake_gpu *gpu)
 /* Creates the streams' structures, and reserves their host memory. */
 static int create_streams(struct bake_gpu *gpu)
 {
-    const unsigned count = gpu->worker_count + 1;
+    const unsigned count = gpu->worker_count * gpu->windows + 1;
     const uint64_t stream_bytes = gpu->driver->stream_bytes;
     const uint64_t sent = sent_bytes(gpu), fetched = fetched_bytes(gpu);
     const uint64_t host = sent > fetched ? sent : fetched;
@@ -518,8 +531,7 @@ static int create_streams(struct bake_gpu *gpu)
             .own = gpu->stream_memory + i * stream_bytes, .host_count = 1, .host_bytes = host};
     upload_stream(gpu)->host_count = 2;
     upload_stream(gpu)->host_bytes = STAGING_BYTES;
-    return gpu_reserve(gpu, "page-locked memory",
-                       gpu->worker_count * host + 2 * (uint64_t)STAGING_BYTES);
+    return gpu_reserve(gpu, "page-locked memory", (count - 1) * host + 2 * (uint64_t)STAGING_BYTES);
 }
 
 /* Prepares an opened device for a job and uploads the low-poly mesh. */
@@ -528,6 +540,7 @@ static int gpu_prepare(struct bake_gpu *gpu, const struct bake_scene *scene)
     gpu->params = scene->params;
     gpu->patch_texels = scene->patch_texels;
     gpu->worker_count = bsq_threads(gpu->ctx);
+    gpu->windows = bake_patch_windows(&gpu->params, gpu->patch_texels, gpu->worker_count);
     BSQ_PASS(create_streams(gpu));
     BSQ_PASS(share_memory(gpu, scene));
     struct bake_stream *upload = upload_stream(gpu);
@@ -564,7 +577,7 @@ void bake_gpu_close(struct bake_gpu *gpu)
     struct bsq_ctx *ctx = gpu->ctx;
     if (gpu->driver->attach)
         (void)gpu->driver->attach(gpu);
-    for (unsigned i = 0; gpu->streams && i <= gpu->worker_count; i++)
+    for (unsigned i = 0; gpu->streams && i <= gpu->worker_count * gpu->windows; i++)
         if (gpu->streams[i].open)
             close_stream(gpu, &gpu->streams[i]);
     for (int i = 0; i < BAKE_GRID_ARRAYS; i++)

@@ -33,6 +33,13 @@ struct bk_batch bake_first_batch(const struct bk_params *params, const struct bk
 bool bake_next_batch(const struct bk_params *params, const struct bk_patch *patch,
                      const struct bk_batch *first, struct bk_batch *batch);
 
+/* How many patches a worker starts before it waits for the first: two, so that copies and the
+ * worker's own part run beside kernels; one if all workers' patches together had more than
+ * BAKE_RAYS_STARTED rays, for which a slow GPU would take seconds after an interruption. */
+enum { BAKE_WINDOWS_MAX = 2, BAKE_RAYS_STARTED = 1 << 27 };
+unsigned bake_patch_windows(const struct bk_params *params, uint32_t patch_texels,
+                            unsigned workers);
+
 /* ---- times: launches.c ---- */
 
 enum { BAKE_TIME_SPANS_MAX = 256 };
@@ -75,7 +82,7 @@ typedef uint64_t bake_memory;
 enum { BAKE_SAMPLES, BAKE_KERNELS, BAKE_TEXELS, BAKE_STEPS };
 
 /* Work that the device does in order, with host memory that it reads and writes by itself. Each
- * worker has a stream for its patches, and uploads have one. */
+ * worker has a stream for each patch that it has started, and uploads have one. */
 struct bake_stream {
     void *own; /* the API's part: `stream_bytes`, zero at first */
     /* The API allocates `host_count` pieces of host memory with host_bytes each. */
@@ -188,9 +195,10 @@ struct bake_gpu {
     bake_memory arrays[BAKE_GRID_ARRAYS];
     struct bk_params params; /* the job's, for these arrays */
     uint32_t patch_texels;
-    unsigned worker_count;
-    struct bake_stream *streams; /* of the workers, and then that of uploads */
-    char *stream_memory;         /* the API's parts of them */
+    unsigned worker_count, windows; /* see bake_patch_windows() */
+    /* Of the workers, of the workers again for their second patches, and then that of uploads. */
+    struct bake_stream *streams;
+    char *stream_memory; /* the API's parts of them */
     /* Data goes up through two halves of host memory, those of the last stream: one is filled while
      * the device copies the other, so the host never copies anything larger. */
     unsigned filling;      /* the half that is being filled */
@@ -212,14 +220,16 @@ int bake_gpu_open(struct bsq_ctx *ctx, const struct bake_driver *driver, uint32_
                   const struct bake_scene *scene, struct bake_gpu **out);
 void bake_gpu_close(struct bake_gpu *gpu);
 
-/* Does what bake_device_trace() does. Describes a failure in `why` (BAKE_WHY_BYTES) instead of
- * recording it, since the caller may fall back to the processor. */
-int bake_gpu_trace(struct bake_gpu *gpu, const struct bk_patch *patch,
-                   const uint32_t *sample_triangles, float *texels, unsigned worker, char *why);
+/* Do what bake_device_begin() and bake_device_end() do. They describe a failure in `why`
+ * (BAKE_WHY_BYTES) instead of recording it, since the caller may fall back to the processor. */
+int bake_gpu_begin(struct bake_gpu *gpu, const struct bk_patch *patch,
+                   const uint32_t *sample_triangles, unsigned worker, unsigned window, char *why);
+int bake_gpu_end(struct bake_gpu *gpu, const struct bk_patch *patch, float *texels, unsigned worker,
+                 unsigned window, char *why);
 
 /* Traces `count` single rays, BAKE_GPU_RAYS at most, for a job with curvature. rays: BK_RAY_FLOATS
- * each. *hits: BK_HIT_FLOATS each, until the worker's next call. Failures are those of
- * bake_gpu_trace(). */
+ * each. *hits: BK_HIT_FLOATS each, until the worker's next call. The worker must have no patch that
+ * it has only started. Failures are those of bake_gpu_begin(). */
 enum { BAKE_GPU_RAYS = 1 << 14 };
 int bake_gpu_trace_rays(struct bake_gpu *gpu, const float *rays, uint32_t count, float t_min,
                         float t_max, const float **hits, unsigned worker, char *why);

@@ -32,6 +32,13 @@ struct bk_batch bake_first_batch(const struct bk_params *params, const struct bk
                              .end_line = lines};
 }
 
+unsigned bake_patch_windows(const struct bk_params *params, uint32_t patch_texels, unsigned workers)
+{
+    const double rays =
+        (double)patch_texels * params->samples * params->samples * (2.0 + bk_ray_count(params));
+    return BAKE_WINDOWS_MAX * workers * rays <= BAKE_RAYS_STARTED ? BAKE_WINDOWS_MAX : 1;
+}
+
 bool bake_next_batch(const struct bk_params *params, const struct bk_patch *patch,
                      const struct bk_batch *first, struct bk_batch *batch)
 {

@@ -104,8 +104,10 @@ static struct bake_device_times times_of(struct fixture *f, int patches, struct 
     struct bake_gpu *gpu;
 
     assert_int_equal(bake_gpu_open(f->ctx, &bake_cuda_driver, 0, &f->job, &gpu), 0);
-    for (int i = 0; i < patches; i++)
-        assert_int_equal(bake_gpu_trace(gpu, &patch, f->samples, (float *)texels, 0, why), 0);
+    for (int i = 0; i < patches; i++) {
+        assert_int_equal(bake_gpu_begin(gpu, &patch, f->samples, 0, 0, why), 0);
+        assert_int_equal(bake_gpu_end(gpu, &patch, (float *)texels, 0, 0, why), 0);
+    }
     times = bake_gpu_times(gpu);
     bake_gpu_close(gpu);
     return times;

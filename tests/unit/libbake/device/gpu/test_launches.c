@@ -84,6 +84,19 @@ TEST(test_overlaps_count_once)
     assert_true(bake_time_spans_seconds(&spans) == 6);
 }
 
+/* What all workers have started at a time is limited, or an interruption would wait for it. */
+TEST(test_windows)
+{
+    const struct bk_params few = {.samples = 2};
+    const struct bk_params many = {.samples = 2, .maps = 1u << BK_MAP_ao, .open_rays = 64};
+    (void)state;
+    assert_int_equal(bake_patch_windows(&few, 1 << 16, 1), 2);
+    assert_int_equal(bake_patch_windows(&few, 1 << 16, 128), 2);
+    assert_int_equal(bake_patch_windows(&few, 1 << 16, 129), 1);
+    assert_int_equal(bake_patch_windows(&many, 1 << 16, 3), 2);
+    assert_int_equal(bake_patch_windows(&many, 1 << 16, 4), 1);
+}
+
 /* Compares four streams with spans of random lengths to a raster of time. */
 TEST(test_many)
 {
