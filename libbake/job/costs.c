@@ -15,14 +15,18 @@ struct speed {
 };
 static const struct speed grid_speed = {0.35e-6, 0.6e-6, 0.2e-6, 0.35e-6, 3.0e-6};
 static const struct speed exact_speed = {0.95e-6, 0.0, 2.3e-6, 4.0e-6, 9.0e-6};
+/* A grid on a GPU: seconds of the card, those of an H100, and of one core beside it. Opening it,
+ * and the bytes of the grid that go up in a second. */
+static const struct speed gpu_speed = {1.0e-9, 1.0e-9, 0.92e-9, 2.7e-9, 10e-9};
+static const struct speed beside_gpu_speed = {0.1e-6, 0.0, 0.0, 0.0, 0.4e-6};
+static const double gpu_seconds = 0.5, upload_bytes = 8e9;
 /* Of a triangle in a chunk that is loaded; of one in the tree that rays reach; of one in the chunks
  * that secondary rays need, which are all of the scan. */
 static const double load_seconds = 0.16e-6, reach_seconds = 0.65e-6, look_seconds = 0.16e-6;
 
-/* A bake or a part, as far as scans are concerned. */
+/* A bake, as far as scans are concerned. */
 struct share {
     const struct bake_job *job;
-    double part; /* of all texels */
     uint64_t texels, samples;
 };
 
@@ -50,17 +54,13 @@ static double ray_seconds(const struct share *share, const struct speed *speed)
     return (double)share->samples * sample + (double)share->texels * texel;
 }
 
-/* Returns the seconds of loading chunks. The surface is taken to be a square: if it covers n
- * chunks, it touches (sqrt(n) + 1)^2. */
+/* Returns the seconds of loading chunks. */
 static double load_chunks_seconds(const struct share *share, const struct bake_exact *exact)
 {
-    const struct fmt_tris_header *header = bake_exact_header(exact);
-    const double triangles = (double)header->triangle_count, chunks = (double)header->chunk_count;
-    const double own = triangles * share->part, side = sqrt(chunks * share->part) + 1;
-    const double loaded = triangles * fmin(side * side / chunks, 1);
+    const double triangles = (double)bake_exact_header(exact)->triangle_count;
     const uint32_t passes = share->job->maps & BAKE_MAP_CURVATURE ? 2 : 1;
-    double seconds = passes * loaded * load_seconds;
-    seconds += fmin(own, (double)share->samples) * reach_seconds;
+    double seconds = passes * triangles * load_seconds;
+    seconds += fmin(triangles, (double)share->samples) * reach_seconds;
     return seconds + (looks_around(share->job) ? triangles * look_seconds : 0);
 }
 
@@ -71,15 +71,30 @@ static double scan_seconds(const struct share *share, const struct bake_scan *sc
     return ray_seconds(share, &grid_speed);
 }
 
-double bake_expect_seconds(const struct bake_job *job, uint64_t texels, uint64_t all)
+static struct share share_of(const struct bake_job *job, uint64_t texels)
 {
     const uint64_t samples = (uint64_t)job->options->samples * job->options->samples;
-    const struct share share = {job, all > 0 ? (double)texels / (double)all : 0, texels,
-                                texels * samples};
+    return (struct share){job, texels, texels * samples};
+}
+
+/* Returns the seconds of one core that baking so many texels takes. */
+static double expect_seconds(const struct bake_job *job, uint64_t texels)
+{
+    const struct share share = share_of(job, texels);
     double seconds = start_seconds;
     for (uint32_t i = 0; i < job->surface.scan_count; i++)
         seconds += scan_seconds(&share, &job->surface.scans[i]);
     return seconds;
+}
+
+bool bake_expect_processor_first(const struct bake_job *job, uint64_t texels)
+{
+    const struct share share = share_of(job, texels);
+    const double threads = bsq_threads(job->ctx);
+    const double gpu = gpu_seconds + (double)job->surface.scans->grid.map.size / upload_bytes +
+                       ray_seconds(&share, &gpu_speed) +
+                       ray_seconds(&share, &beside_gpu_speed) / threads;
+    return expect_seconds(job, texels) / threads <= gpu;
 }
 
 /* Returns the texels that triangles of the low-poly mesh cover, without those that they share. */
@@ -96,7 +111,7 @@ static uint64_t covered_texels(const struct bake_job *job)
     return (uint64_t)fmin(sum, most);
 }
 
-void bake_expect_work(const struct bake_job *job)
+uint64_t bake_expect_work(const struct bake_job *job)
 {
     struct bake_report *report = job->report;
     const struct bake_options *options = job->options;
@@ -109,5 +124,6 @@ void bake_expect_work(const struct bake_job *job)
     if (job->maps & BAKE_MAP_CONFIDENCE)
         rays += 2;
     report->expected_rays = texels * options->samples * options->samples * rays;
-    report->expected_seconds = bake_expect_seconds(job, texels, texels);
+    report->expected_seconds = expect_seconds(job, texels);
+    return texels;
 }

@@ -16,8 +16,7 @@ static int job_trace(struct bake_job *job, double started)
     double area, texels;
     BSQ_PASS(bake_arrange_triangles(job));
     BSQ_PASS(bake_rasterise(job));
-    bake_expect_work(job);
-    BSQ_PASS(bake_open_device(job, job->report->expected_seconds));
+    BSQ_PASS(bake_open_device(job, bake_expect_work(job)));
     bake_udim_areas(job->options, &job->mesh, &job->udim, &area, &texels);
     BSQ_PASS(bake_seen_create(&job->surface, area, texels, job->device, &job->seen));
     double opened = bsq_seconds_now();

@@ -87,10 +87,12 @@ int bake_set_params(struct bake_job *job);
 
 /* ---- costs ---- */
 
-/* Returns the seconds of one core that baking `texels` of `all` texels with a surface takes. */
-double bake_expect_seconds(const struct bake_job *job, uint64_t texels, uint64_t all);
-/* Sets the rays and the seconds that the report expects. The triangles must be prepared. */
-void bake_expect_work(const struct bake_job *job);
+/* Returns whether all cores are expected to bake so many texels from a single grid before a
+ * fast GPU, which has to be opened and to get the grid first. */
+bool bake_expect_processor_first(const struct bake_job *job, uint64_t texels);
+/* Sets the rays and the seconds that the report expects. The triangles must be prepared. Returns
+ * the texels that they cover. */
+uint64_t bake_expect_work(const struct bake_job *job);
 
 /* ---- tracing ---- */
 
@@ -98,9 +100,9 @@ void bake_expect_work(const struct bake_job *job);
  * to bake, or are baked as a whole. */
 int bake_arrange_triangles(struct bake_job *job);
 int bake_rasterise(struct bake_job *job);
-/* Opens the device that traces, if there is a single grid. seconds: what one core is expected to
- * take, by which a device is chosen if the user names none. */
-int bake_open_device(struct bake_job *job, double seconds);
+/* Opens the device that traces so many texels, if there is a single grid. If the user
+ * names none, it is the one that is expected to finish first. */
+int bake_open_device(struct bake_job *job, uint64_t texels);
 /* Traces all tiles that have rasters. */
 int bake_trace_maps(struct bake_job *job);
 /* Fails with BSQ_EDATA and a reason if no ray of the report hit. */

@@ -213,7 +213,7 @@ static int check_files(const struct bake_job *job)
 static int parts_trace_own(struct bake_job *job)
 {
     BSQ_PASS(bake_rasterise(job));
-    BSQ_PASS(bake_open_device(job, bake_expect_seconds(job, job->part_texels, job->texels)));
+    BSQ_PASS(bake_open_device(job, job->part_texels));
     BSQ_PASS(bake_trace_maps(job));
     if (job->maps & BAKE_MAP_CURVATURE)
         BSQ_PASS(bake_trace_curvature(job));

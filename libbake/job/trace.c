@@ -66,21 +66,9 @@ static uint32_t most_texels(const struct bake_job *job)
     return most * most;
 }
 
-/* What opening a GPU takes: CUDA 0.4 s on an H200, OpenCL 0.5 s once the driver has the kernel. */
-static const double gpu_seconds = 0.5;
-
-/* Returns the name of the device that the user wants. Without one: "cpu" if all cores are expected
- * to finish sooner than a GPU opens, else "auto". seconds: what one core is expected to take. */
-static const char *device_name(const struct bake_job *job, double seconds)
+int bake_open_device(struct bake_job *job, uint64_t texels)
 {
     const char *name = job->options->device;
-    if (name && *name)
-        return name;
-    return seconds / bsq_threads(job->ctx) < gpu_seconds ? "cpu" : "auto";
-}
-
-int bake_open_device(struct bake_job *job, double seconds)
-{
     if (job->surface.scan_count > 1 || job->surface.scans->exact) {
         unsigned threads = bsq_threads(job->ctx);
         snprintf(job->report->device, sizeof job->report->device, "cpu, %u thread%s%s", threads,
@@ -93,7 +81,9 @@ int bake_open_device(struct bake_job *job, double seconds)
                                       .patch_texels = most_texels(job),
                                       .device_memory = job->options->gpu_memory_bytes,
                                       .params = job->surface.params};
-    return bake_device_open(job->ctx, device_name(job, seconds), &job->traced, &job->device);
+    if (!name || !*name)
+        name = bake_expect_processor_first(job, texels) ? "cpu" : "auto";
+    return bake_device_open(job->ctx, name, &job->traced, &job->device);
 }
 
 /* Returns whether the scan and the low-poly mesh have about the same size and place, so that longer

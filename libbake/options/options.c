@@ -261,7 +261,7 @@ static const struct bsq_option table[] = {
 
     {BSQ_ROW("device", "NAME",
              BAKE_DEVICE_NAMES "\n"
-                               "(default: cpu for bakes of half a second, else auto)"),
+                               "(default: cpu if it is expected to finish first, else auto)"),
      .heading = "Devices", .own_syntax = true, MEMBER(TEXT, device), FINISHES, .text = ""},
     {BSQ_ROW("gpu-memory", "SIZE", "most memory of a GPU to use, e.g. 2G (default: what is free)"),
      MEMBER(BYTES, gpu_memory_bytes), FINISHES, .needs = GPU | GRID},

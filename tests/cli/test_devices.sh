@@ -68,10 +68,16 @@ if [ -s "$ptx" ]; then
     refused 69 "$p Fake GPU 0 (CUDA): cuLaunchKernel: CUDA_ERROR_LAUNCH_FAILED (unspecified launch failure)"
     holds "no map of a failed job" [ -z "$(ls gone_* 2>/dev/null)" ]
 
-    # By default a bake asks no driver if it takes the processor no longer than a GPU takes to open.
-    FAKE_CUDA_FAIL=cuInit:1:803 cuda --size 16 --maps mask vase.nvdb low.obj -o mask.exr --json
-    json '.device | startswith("cpu")'
-    holds "a short bake asks no driver" [ ! -s "$err" ]
+    # By default a bake asks no driver if the processor is expected to finish before a GPU. That is expected to take
+    # half a second to open, and then needs the processor for the first rays as well, but hardly for those from hits.
+    for short in '--size 16' '--size 640 --threads 1'; do
+        FAKE_CUDA_FAIL=cuInit:1:803 cuda $short --maps mask vase.nvdb low.obj -o mask.exr --json
+        json '.device | startswith("cpu")'
+        holds "a short bake asks no driver: $short" [ ! -s "$err" ]
+    done
+    cuda --size 256 --threads 1 --maps ao vase.nvdb low.obj -o ao.exr --json
+    json '.device == "Fake GPU 0 (CUDA)"'
+    rm ao.exr
 
     # The processor bakes a grid that does not fit the device's memory, also if the user named the device. One line
     # says so.
