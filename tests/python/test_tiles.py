@@ -59,8 +59,10 @@ def read_tile(folder, tile):
         where = head["bufferViews"][number]
         return body[where["byteOffset"]:where["byteOffset"] + where["byteLength"]]
 
-    rows = np.frombuffer(view(0), "<f4").reshape(-1, 12)
-    faces = np.frombuffer(view(1), "<u4").reshape(-1, 3).astype(int)
+    primitive = head["meshes"][0]["primitives"][0]
+    where = [head["accessors"][i]["bufferView"] for i in (primitive["attributes"]["POSITION"], primitive["indices"])]
+    rows = np.frombuffer(view(where[0]), "<f4").reshape(-1, 12)
+    faces = np.frombuffer(view(where[1]), "<u4").reshape(-1, 3).astype(int)
     images = [np.asarray(Image.open(io.BytesIO(view(image["bufferView"]))).convert("RGB"), float)
               for image in head["images"]]
     return {"p": rows[:, :3].astype(float), "n": rows[:, 3:6].astype(float), "t": rows[:, 6:10].astype(float),
@@ -132,6 +134,27 @@ def test_boxes_contain_content_and_errors_fall(made):
     assert count > len(certificate["tiles"]) and tileset["geometricError"] > tileset["root"]["geometricError"]
     for tile in certificate["tiles"].values():
         assert 0 < tile["triangles"] <= LIMIT
+        assert b"image/jpeg" in (folder / tile["file"]).read_bytes() and "color" in tile["packed"]["images"]
+
+
+@pytest.mark.parametrize("geometry", ["meshopt", "draco"])
+def test_packed_tiles_stay_in_their_boxes_and_errors(made, tmp_path, geometry):
+    _, plain, _ = made
+    certificate = bisque.tiles(coloured(), tmp_path / "out", geometry=geometry, **OPTIONS)
+    tileset = json.loads((tmp_path / "out" / "tileset.json").read_text())
+    for node, parent in nodes_of(tileset["root"]):
+        tile = certificate["tiles"][node["content"]["uri"].removesuffix(".glb")]
+        mesh = sys.modules["bisque.glb"].surface(sys.modules["bisque.glb"].Glb(tmp_path / "out" / tile["file"]))
+        points = mesh.vertices @ [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+        box = np.array(node["boundingVolume"]["box"])
+        assert (np.abs(points - box[:3]) - [box[3], box[7], box[11]]).max() < 1e-9
+        assert parent is None or node["geometricError"] < parent["geometricError"]
+        before = plain["tiles"][tile["file"].removesuffix(".glb")]
+        lost = tile["packed"]["geometry"]["distance"]
+        assert 0 < lost < 1e-4 and tile["geometric_error"] >= max(
+            before[key]["max"] for key in ("from_scan", "from_mesh")) + lost
+        assert tile["packed"]["bytes"] < tile["packed"]["bytes_before"]
+        assert np.abs(mesh.vertices.min(axis=0) - before["low"]).max() < 1e-4
 
 
 # ---- errors ----
@@ -406,7 +429,6 @@ def test_tiles_lie_where_they_are_placed(tmp_path):
     (["--hard-angle", "30"], 64, "--hard-angle: not with --tiles"),
     (["--preset", "game"], 64, "--preset: not with --tiles"),
     (["--report"], 64, "--report: not with --tiles"),
-    (["--images", "jpeg"], 64, "--images: not with --tiles"),
 ])
 def test_wrong_options_are_refused(tmp_path, words, code, line):
     bisque.Mesh(*sphere(4, False)).save(tmp_path / "scan.obj")

@@ -174,8 +174,7 @@ def _print(a: argparse.Namespace, certificate: dict) -> None:
 
 #: Options that are of tiles only, and of single assets only.
 OF_TILES = ("tile_triangles", "place")
-NOT_OF_TILES = ("preset", "low", "error", "surface", "close_holes", "hard_angle", "winding", "images", "geometry",
-                "report", "keep")
+NOT_OF_TILES = ("preset", "low", "error", "surface", "close_holes", "hard_angle", "winding", "report", "keep")
 
 
 def _refuse_others(a: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
@@ -188,11 +187,12 @@ def _refuse_others(a: argparse.Namespace, parser: argparse.ArgumentParser) -> No
 def _make_tiles(a: argparse.Namespace, screen: _Screen) -> dict:
     more = {"size": a.size} if a.size is not None else {}
     more |= {"maps": core.own_names(a.maps.split(","))} if a.maps else {}
+    more |= {"images": a.images} if a.images else {}
     return tiles(a.scan if len(a.scan) > 1 else a.scan[0], a.output, tile_triangles=a.tile_triangles,
                  triangles=a.triangles, samples=a.samples, library=a.unwrap, unwrap_seconds=a.unwrap_seconds,
                  min_component=a.min_component, min_triangles=a.min_triangles, up=a.up, units=a.units, scale=a.scale,
-                 texture=a.texture, place=a.place.split(",") if a.place else None, memory=a.memory, threads=a.threads,
-                 progress=screen.progress, **more)
+                 geometry=a.geometry, texture=a.texture, place=a.place.split(",") if a.place else None, memory=a.memory,
+                 threads=a.threads, progress=screen.progress, **more)
 
 
 def _make(arguments: list[str], screen: _Screen) -> None:

@@ -8,14 +8,16 @@ import contextvars
 import hashlib
 import json
 import os
+import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
+from importlib import metadata
 from pathlib import Path
-from typing import Any, Iterator
+from typing import Any, Callable, Iterator
 
 import numpy as np
 
-from . import core, uv
+from . import core, glb, uv
 from .asset import PUBLISHED, check_library, lost_of, older_files, publish, sorted_scan, versions
 from .core import Error
 from .cut import Tile, add_skirt, divide, read_level
@@ -35,6 +37,8 @@ SCRIPTS = ("build/three.min.js", "examples/js/controls/OrbitControls.js", "examp
 BATCH = 64
 #: Columns of rows of vertices.
 COLUMNS = (("POSITION", 0, 3), ("NORMAL", 3, 6), ("TANGENT", 6, 10), ("TEXCOORD_0", 10, 12))
+#: How GLB files are packed that are not.
+PLAIN = {"images": "png", "geometry": "none"}
 #: Triangles of a level to those of the next coarser one.
 FACTOR = 4
 
@@ -61,7 +65,21 @@ def _widest_skirts(tile: Tile, above: tuple[float, ...] = ()) -> Iterator[tuple[
         yield from _widest_skirts(child, (*above, tile.error))
 
 
-def _finish_tile(tile: Tile, baked: Glb, number: int, width: float, path: Path) -> dict:
+def _each(steps: Steps, stage: str, work: Callable[[int], Any], count: int, threads: int) -> list:
+    """Returns the results of `work` for each number below a count, of several threads."""
+    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+        waiting = [pool.submit(contextvars.copy_context().run, work, i) for i in range(count)]
+        results = []
+        try:
+            for done, future in enumerate(waiting, 1):
+                results.append(future.result())
+                steps.report(stage, done, count, "tiles")
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+    return results
+
+
+def _finish_tile(tile: Tile, baked: Glb, number: int, width: float, path: Path, packing: dict, memory: Any) -> dict:
     """Writes the GLB file of a tile, primitive `number` of a baked one. Returns what is known of it."""
     root = baked.head
     primitive = root["meshes"][0]["primitives"][number]
@@ -85,9 +103,16 @@ def _finish_tile(tile: Tile, baked: Glb, number: int, width: float, path: Path) 
         out.head.update(samplers=root["samplers"][:1],
                         textures=[{"source": i, "sampler": 0} for i in range(len(images))],
                         images=[{"bufferView": out.add(image), "mimeType": "image/png"} for image in images])
-    out.write(path)
-    return {"low": rows[:, :3].min(axis=0).tolist(), "high": rows[:, :3].max(axis=0).tolist(),
-            "skirt_triangles": len(faces) - len(tile.part.faces)}
+    found = {"skirt_triangles": len(faces) - len(tile.part.faces)}
+    if packing == PLAIN:
+        out.write(path)
+    else:
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+            out.write(Path(folder) / path.name)
+            found["packed"] = glb.pack(Path(folder) / path.name, path, Path(folder), threads=1, memory=memory,
+                                       **packing)
+    points = glb.surface(Glb(path)).vertices
+    return {**found, "low": points.min(axis=0).tolist(), "high": points.max(axis=0).tolist()}
 
 
 def _digest(tiles: list[Tile]) -> str:
@@ -164,7 +189,8 @@ def _unwrap(steps: Steps, name: str, tiles: list[Tile], obj: Path, options: dict
     """Unwraps tiles and writes them as one OBJ file. Returns what was found of their UVs."""
     chosen = {**options, "version": versions(options["library"])}
 
-    def unwrap_one(tile: Tile) -> Mesh:
+    def unwrap_one(number: int) -> Mesh:
+        tile = tiles[number]
         points, faces = tile.part.points, tile.part.faces
         try:
             return uv.unwrap(Mesh(points[:, :3], faces, normals=points[:, 3:6], normal_faces=faces), seconds=seconds,
@@ -173,15 +199,7 @@ def _unwrap(steps: Steps, name: str, tiles: list[Tile], obj: Path, options: dict
             raise Error(error.status, f"tile {tile.name}: {error.message}") from None
 
     def make() -> list[dict]:
-        with ThreadPoolExecutor(job["threads"] or os.cpu_count()) as pool:
-            waiting = [pool.submit(contextvars.copy_context().run, unwrap_one, tile) for tile in tiles]
-            try:
-                meshes = []
-                for done, future in enumerate(waiting, 1):
-                    meshes.append(future.result())
-                    steps.report("unwrapping", done, len(tiles), "tiles")
-            finally:
-                pool.shutdown(wait=False, cancel_futures=True)
+        meshes = _each(steps, "unwrapping", unwrap_one, len(tiles), job["threads"])
         _write_batch(obj, meshes, [tile.name for tile in tiles], origin)
         return [mesh.report["uv"] for mesh in meshes]
 
@@ -199,8 +217,9 @@ def _bake(steps: Steps, name: str, chunks: str, tiles: list[Tile], obj: Path, wi
                   arrays=False, as_is=True, output_path=str(obj.with_name("<MATERIAL>_<MAP>.png")),
                   progress=steps.report, **job)
         baked = Glb(whole)
-        found = [_finish_tile(tile, baked, i, widths[tile.name], path)
-                 for i, (tile, path) in enumerate(zip(tiles, files))]
+        packing = {key: options[key] for key in PLAIN}
+        found = _each(steps, "packing", lambda i: _finish_tile(tiles[i], baked, i, widths[tiles[i].name], files[i],
+                                                               packing, job["memory"]), len(tiles), job["threads"])
         whole.unlink()
         return found
 
@@ -220,10 +239,12 @@ def _make_tiles(steps: Steps, chunks: str, tiles: list[Tile], widths: dict[str, 
     obj = steps.folder / f"batch_{name}.obj"
     unwrapping = {"size": level["size"], "padding": max(2, level["size"] // 512), "library": level["library"]}
     unwrapped = _unwrap(steps, name, tiles, obj, unwrapping, level["seconds"], origin, parts, job)
-    baking = {key: level[key] for key in ("maps", "size", "samples")}
+    baking = {key: level[key] for key in ("maps", "size", "samples", *PLAIN)}
+    if level["geometry"] == "draco":
+        baking["version"] = metadata.version("DracoPy")
     baked = _bake(steps, name, chunks, tiles, obj, widths, baking, parts, job)
     return {tile.name: {"file": f"{tile.name}.glb", "level": tile.level, "triangles": len(tile.part.faces),
-                        "geometric_error": tile.error, **tile.distances, "region": _finite([tile.low + origin, tile.high + origin]),
+                        **tile.distances, "region": _finite([tile.low + origin, tile.high + origin]),
                         **about, "uv": uvs}
             for tile, about, uvs in zip(tiles, baked, unwrapped)}
 
@@ -317,6 +338,7 @@ def tiles(scan: Any, output: str | os.PathLike, *, tile_triangles: int = 10_000,
           size: int | str = 1024, maps: Any = ("normal", "color"), samples: int = 2, library: str = uv.USUAL,
           unwrap_seconds: float = 300, min_component: float | str = 0, min_triangles: int = 0, texture: Any = None,
           up: str | None = None, units: str | None = None, scale: float | None = None, place: Any = None,
+          images: str = "jpeg", geometry: str = "none",
           memory: int | str | None = None, threads: int = 0, progress: core.Progress | None = None) -> dict:
     """Makes 3D Tiles 1.1 of a scan in a folder: tileset.json, a GLB file for each tile, and the certificate,
     tiles.json. The folder must not hold other files.
@@ -324,8 +346,8 @@ def tiles(scan: Any, output: str | os.PathLike, *, tile_triangles: int = 10_000,
     tile_triangles: most triangles of a tile, at least 100. triangles: of the finest level, or "10%" of the scan's;
     without it, a tile of it stands for about a million of the scan's. size: texels of a side of each tile's maps. up,
     units, scale: as of asset(). place: longitude and latitude in degrees and height in metres, where zero of the scan's
-    coordinates lies; without it, that is zero of the tileset's. Interrupted jobs go on. Returns the certificate. Raises
-    Error, ValueError."""
+    coordinates lies; without it, that is zero of the tileset's. images, geometry: of the GLB files, as of pack().
+    Interrupted jobs go on. Returns the certificate. Raises Error, ValueError."""
     output, size = Path(output), parse_texels(size)
     for name, value, least, most in (("tile_triangles", tile_triangles, 100, 2 ** 31), ("samples", samples, 1, 2 ** 16),
                                      ("min_triangles", min_triangles, 0, 2 ** 63)):
@@ -334,6 +356,8 @@ def tiles(scan: Any, output: str | os.PathLike, *, tile_triangles: int = 10_000,
     min_component = parse_amount("min_component", str(min_component).removesuffix("%"))[0]
     check_library(library)
     check_options(up, units, scale)
+    packing = {"images": images, "geometry": geometry}
+    glb.check_options(**packing)
     if not 0 <= unwrap_seconds <= 1e9:
         raise ValueError(f"unwrap_seconds: a number from 0 to 1e+09 is needed, not {unwrap_seconds:g}")
     maps = list(dict.fromkeys((maps,) if isinstance(maps, str) else maps))
@@ -347,10 +371,10 @@ def tiles(scan: Any, output: str | os.PathLike, *, tile_triangles: int = 10_000,
     if output.exists() and not output.is_dir():
         raise Error(73, f"{output}: this is no folder")
     job = {"memory": core.parse_bytes(memory), "threads": core.check_number("threads", threads, 0, 65536)}
-    level = {"size": size, "maps": maps, "samples": samples, "library": library, "seconds": unwrap_seconds}
+    level = {"size": size, "maps": maps, "samples": samples, "library": library, "seconds": unwrap_seconds, **packing}
     options = {"tile_triangles": tile_triangles, "triangles": triangles, "size": size, "maps": maps,
                "samples": samples, "library": library, "min_component": min_component, "min_triangles": min_triangles,
-               "up": up, "units": units, "scale": scale, "place": place}
+               "up": up, "units": units, "scale": scale, "place": place, **packing}
     private, done = Folder(output), False
     try:
         _check_folder(output)
@@ -381,12 +405,18 @@ def _run(steps: Steps, chunks: str, about: dict, options: dict, level: dict, job
     root = _make_tree(steps, chunks, targets, options["tile_triangles"], options, origin, job)
     levels = [[tile for tile in root.all() if tile.level == i] for i in range(len(targets))]
     measured = [_measure(steps, chunks, some, origin, len(levels), job) if some else {} for some in levels]
-    _raise_errors(root, 1e-9 * float(np.linalg.norm(high - low)))
+    least = 1e-9 * float(np.linalg.norm(high - low))
+    _raise_errors(root, least)
     widths = dict(_widest_skirts(root))
     batches = [some[i:i + BATCH] for some in levels for i in range(0, len(some), BATCH)]
     known: dict[str, dict] = {}
     for batch in batches:
         known.update(_make_tiles(steps, chunks, batch, widths, level, origin, len(batches), job))
+    for tile in root.all():
+        tile.error += known[tile.name].get("packed", {}).get("geometry", {}).get("distance", 0)
+    _raise_errors(root, least)
+    for tile in root.all():
+        known[tile.name]["geometric_error"] = tile.error
     plan = steps.folder / "tileset.json"
     plan.write_text(json.dumps(tileset(root, known, origin, options), indent=1) + "\n")
     files = {tile["file"]: steps.folder / tile["file"] for tile in known.values()}
