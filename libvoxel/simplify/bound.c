@@ -154,6 +154,11 @@ static void bound_part(struct bounding *in, struct polygon *p, uint32_t near, bo
             middle[k] += p->corners[i][k] / p->count;
     if (near != UINT32_MAX) {
         vox_closest_corners(in->tree, near, triangle);
+        const double most = farthest_corner(p, triangle);
+        if (most <= in->loose * vox_bound_allowed(in->bound)) {
+            in->high = fmax(in->high, most);
+            return;
+        }
         square = vox_triangle_square_at(triangle, middle, INFINITY);
     }
     const uint32_t closest = vox_closest_point(in->tree, middle, &square);

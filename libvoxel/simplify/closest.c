@@ -1,5 +1,6 @@
-/* closest.c - see closest.h. A binary tree, split at the median of the triangles' middles along the
- * longest side. A query visits the nearer child first. */
+/* closest.c - see closest.h. Each node has four children, whose boxes are compared at once; at the
+ * bottom these are triangles. All nodes but the first ones of a level are full, and split at places
+ * along the longest side of the triangles' middles. A query visits the nearest child first. */
 #include "libvoxel/simplify/closest.h"
 
 #include <math.h>
@@ -8,13 +9,19 @@
 #include "base/geometry/middles.h"
 #include "libvoxel/simplify/distance_lanes.h"
 
-/* The depth is that of halving 2^32 triangles into leaves. */
-enum { LEAF_TRIANGLES = 4, DEPTH_MAX = 32 };
+/* The depth is that of quartering 2^31 triangles; of each node, three more children wait. */
+enum { LANES = 4, DEPTH_MAX = 16, STACK_MAX = (LANES - 1) * DEPTH_MAX + 1 };
+#define TRIANGLE UINT32_C(0x80000000) /* or-ed to the number of a triangle: it is no node */
 
 struct vox_closest_node {
-    float low[3], high[3];
-    uint32_t begin, end; /* in order[] */
-    uint32_t right;      /* the other child; the left one follows its parent. 0: a leaf */
+    float low[3][LANES], high[3][LANES]; /* of children; of missing ones, boxes that are nowhere */
+    uint32_t children[LANES];
+};
+
+/* A child that waits, and the squared distance of its box. */
+struct waiting {
+    uint32_t child;
+    double square;
 };
 
 struct build {
@@ -36,46 +43,66 @@ static void bound_triangle(const struct vox_closest *tree, uint32_t triangle, fl
     }
 }
 
-static void bound_node(const struct build *b, struct vox_closest_node *node)
+/* Moves triangles whose middles are least along the longest side to the front, up to number `at`.
+ */
+static void divide_triangles(const struct build *b, uint32_t begin, uint32_t end, uint32_t at)
 {
-    for (int k = 0; k < 3; k++) {
-        node->low[k] = INFINITY;
-        node->high[k] = -INFINITY;
-    }
-    for (uint32_t i = node->begin; i < node->end; i++) {
-        float low[3], high[3];
-        bound_triangle(b->tree, b->middles ? b->middles[i].number : i, low, high);
+    float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
+    int axis = 0;
+    if (!b->middles || at == end)
+        return;
+    for (uint32_t i = begin; i < end; i++)
         for (int k = 0; k < 3; k++) {
-            node->low[k] = low[k] < node->low[k] ? low[k] : node->low[k];
-            node->high[k] = high[k] > node->high[k] ? high[k] : node->high[k];
+            const float x = b->middles[i].at[k];
+            low[k] = x < low[k] ? x : low[k];
+            high[k] = x > high[k] ? x : high[k];
         }
-    }
+    for (int k = 1; k < 3; k++)
+        axis = high[k] - low[k] > high[axis] - low[axis] ? k : axis;
+    bsq_select_middles(b->middles + begin, end - begin, at - begin, axis);
 }
 
-static void build_node(struct build *b, uint32_t begin, uint32_t end)
+/* Makes a node of triangles, and sets its box. Returns its number. */
+static uint32_t build_node(struct build *b, uint32_t begin, uint32_t end, float low[3],
+                           float high[3])
 {
-    struct vox_closest_node *node = &b->tree->nodes[b->node_count++];
-    const bool leaf = end - begin <= LEAF_TRIANGLES;
-    const uint32_t middle = begin + (end - begin) / 2;
-    *node = (struct vox_closest_node){.begin = begin, .end = end};
-    if (leaf || b->middles)
-        bound_node(b, node);
-    if (leaf)
-        return;
-    if (b->middles) {
-        int axis = 0;
-        for (int k = 1; k < 3; k++)
-            axis = node->high[k] - node->low[k] > node->high[axis] - node->low[axis] ? k : axis;
-        bsq_select_middles(b->middles + begin, end - begin, middle - begin, axis);
+    const uint32_t number = b->node_count++;
+    struct vox_closest_node *node = &b->tree->nodes[number];
+    uint64_t each = 1; /* triangles of a child */
+    uint32_t cuts[LANES + 1] = {begin};
+    while (LANES * each < end - begin)
+        each *= LANES;
+    for (uint32_t i = 1; i <= LANES; i++)
+        cuts[i] = end - begin > i * each ? begin + (uint32_t)(i * each) : end;
+    if (each > 1) {
+        divide_triangles(b, begin, end, cuts[2]);
+        divide_triangles(b, begin, cuts[2], cuts[1]);
+        divide_triangles(b, cuts[2], end, cuts[3]);
     }
-    build_node(b, begin, middle);
-    node->right = b->node_count;
-    build_node(b, middle, end);
-    const struct vox_closest_node *left = node + 1, *right = &b->tree->nodes[node->right];
     for (int k = 0; k < 3; k++) {
-        node->low[k] = left->low[k] < right->low[k] ? left->low[k] : right->low[k];
-        node->high[k] = left->high[k] > right->high[k] ? left->high[k] : right->high[k];
+        low[k] = INFINITY;
+        high[k] = -INFINITY;
     }
+    for (int i = 0; i < LANES; i++) {
+        float own_low[3] = {INFINITY, INFINITY, INFINITY},
+              own_high[3] = {-INFINITY, -INFINITY, -INFINITY};
+        const uint32_t count = cuts[i + 1] - cuts[i];
+        node->children[i] = 0;
+        if (count == 1) {
+            const uint32_t triangle = b->middles ? b->middles[cuts[i]].number : cuts[i];
+            bound_triangle(b->tree, triangle, own_low, own_high);
+            node->children[i] = TRIANGLE | triangle;
+        } else if (count > 1) {
+            node->children[i] = build_node(b, cuts[i], cuts[i + 1], own_low, own_high);
+        }
+        for (int k = 0; k < 3; k++) {
+            node->low[k][i] = own_low[k];
+            node->high[k][i] = own_high[k];
+            low[k] = own_low[k] < low[k] ? own_low[k] : low[k];
+            high[k] = own_high[k] > high[k] ? own_high[k] : high[k];
+        }
+    }
+    return number;
 }
 
 int vox_closest_build(struct bsq_ctx *ctx, const float (*positions)[3],
@@ -83,24 +110,21 @@ int vox_closest_build(struct bsq_ctx *ctx, const float (*positions)[3],
                       struct vox_closest *out)
 {
     struct build b = {.tree = out};
+    float low[3], high[3];
     int status = 0;
     *out = (struct vox_closest){
         .positions = positions, .triangles = triangles, .level = bsq_simd_best()};
-    /* Leaves have at least half of LEAF_TRIANGLES. */
-    BSQ_TRY(BSQ_ALLOC(ctx, "a tree of triangles", triangle_count + 1, &out->nodes));
-    BSQ_TRY(BSQ_ALLOC(ctx, "a tree of triangles", triangle_count, &out->order));
+    /* A third as many as triangles, but one in each level may not be full. */
+    BSQ_TRY(BSQ_ALLOC(ctx, "a tree of triangles", triangle_count / 3 + DEPTH_MAX + 1, &out->nodes));
     if (!in_order)
         BSQ_TRY(BSQ_ALLOC(ctx, "a tree of triangles", triangle_count, &b.middles));
     for (uint32_t t = 0; t < triangle_count && b.middles; t++) {
-        float low[3], high[3];
         bound_triangle(out, t, low, high);
         b.middles[t].number = t;
         for (int k = 0; k < 3; k++)
             b.middles[t].at[k] = low[k] + high[k];
     }
-    build_node(&b, 0, triangle_count);
-    for (uint32_t i = 0; i < triangle_count; i++)
-        out->order[i] = b.middles ? b.middles[i].number : i;
+    build_node(&b, 0, triangle_count, low, high);
 done:
     bsq_free(ctx, b.middles);
     if (status < 0)
@@ -110,8 +134,29 @@ done:
 
 void vox_closest_free(struct bsq_ctx *ctx, struct vox_closest *tree)
 {
-    BSQ_FREE(ctx, tree->nodes, tree->order);
+    bsq_free(ctx, tree->nodes);
     *tree = (struct vox_closest){0};
+}
+
+/* Does what vox_box_square() does, for all children of a node. */
+static void find_box_squares(const struct vox_closest_node *node, const float low[3],
+                             const float high[3], double squares[LANES])
+{
+    typedef double four_doubles __attribute__((vector_size(LANES * sizeof(double))));
+    four_doubles sum = {0};
+    for (int k = 0; k < 3; k++) {
+        vox_four below, above;
+        memcpy(&below, node->low[k], sizeof below);
+        memcpy(&above, node->high[k], sizeof above);
+        below -= high[k];
+        above = low[k] - above;
+        const vox_four_mask gap = ((below > 0.0F) & (vox_four_mask)below) |
+                                  ((above > 0.0F) & (vox_four_mask)above); /* one is, at most */
+        const four_doubles wide = __builtin_convertvector((vox_four)gap, four_doubles);
+        sum += wide * wide;
+    }
+    sum *= 1 - 4e-7;
+    memcpy(squares, &sum, sizeof sum);
 }
 
 static void find_most(struct vox_batch *b)
@@ -152,14 +197,9 @@ double vox_triangle_square(const float *const corners[3], const float point[3], 
     return vox_triangle_square_at(corners, p, most);
 }
 
-/* Tries a triangle of a leaf if its own box is near enough. */
-static void try_boxed(const struct vox_closest *tree, uint32_t triangle, struct vox_batch *b)
+static void try_triangle(const struct vox_closest *tree, uint32_t triangle, struct vox_batch *b)
 {
     const float *corners[3];
-    float low[3], high[3];
-    bound_triangle(tree, triangle, low, high);
-    if (!(vox_box_square(low, high, b->low, b->high) < b->most))
-        return;
     vox_closest_corners(tree, triangle, corners);
     if (b->count > 1) {
         BSQ_SIMD_PICK(tree->level, vox_try_triangle)(corners, triangle, b);
@@ -175,33 +215,28 @@ static void try_boxed(const struct vox_closest *tree, uint32_t triangle, struct 
 
 static void walk_tree(const struct vox_closest *tree, struct vox_batch *b)
 {
-    struct {
-        uint32_t node;
-        double square;
-    } stack[DEPTH_MAX + 1];
-    unsigned depth = 0;
-    const struct vox_closest_node *nodes = tree->nodes;
-    stack[depth].node = 0;
-    stack[depth++].square = vox_box_square(nodes->low, nodes->high, b->low, b->high);
-    while (depth > 0) {
-        const uint32_t at = stack[--depth].node;
-        if (!(stack[depth].square < b->most))
+    struct waiting stack[STACK_MAX] = {{0, 0}};
+    for (unsigned depth = 1; depth > 0;) {
+        const struct waiting next = stack[--depth];
+        const unsigned before = depth;
+        double squares[LANES];
+        if (!(next.square < b->most))
             continue;
-        const struct vox_closest_node *node = &nodes[at];
-        if (node->right == 0) {
-            for (uint32_t i = node->begin; i < node->end; i++)
-                try_boxed(tree, tree->order[i], b);
+        if (next.child & TRIANGLE) {
+            try_triangle(tree, next.child & ~TRIANGLE, b);
             continue;
         }
-        const struct vox_closest_node *left = node + 1, *right = &nodes[node->right];
-        const double to_left = vox_box_square(left->low, left->high, b->low, b->high),
-                     to_right = vox_box_square(right->low, right->high, b->low, b->high);
-        const bool left_first = to_left <= to_right;
-        stack[depth].node = left_first ? node->right : at + 1;
-        stack[depth].square = left_first ? to_right : to_left;
-        depth += stack[depth].square < b->most;
-        stack[depth].node = left_first ? at + 1 : node->right;
-        stack[depth++].square = left_first ? to_left : to_right;
+        const struct vox_closest_node *node = &tree->nodes[next.child];
+        find_box_squares(node, b->low, b->high, squares);
+        for (int i = 0; i < LANES; i++) {
+            unsigned at = depth;
+            if (!(squares[i] < b->most))
+                continue;
+            for (; at > before && stack[at - 1].square < squares[i]; at--)
+                stack[at] = stack[at - 1];
+            stack[at] = (struct waiting){node->children[i], squares[i]};
+            depth++;
+        }
     }
 }
 
@@ -253,26 +288,20 @@ bool vox_closest_near(const struct vox_closest *tree, const float low[3], const 
                       double square, bool (*found)(void *arg, uint32_t triangle, double square),
                       void *arg)
 {
-    uint32_t stack[DEPTH_MAX + 1];
-    unsigned depth = 0;
-    stack[depth++] = 0;
-    while (depth > 0) {
-        const uint32_t at = stack[--depth];
-        const struct vox_closest_node *node = &tree->nodes[at];
-        if (vox_box_square(node->low, node->high, low, high) > square)
-            continue;
-        if (node->right > 0) {
-            stack[depth++] = node->right;
-            stack[depth++] = at + 1;
-            continue;
-        }
-        for (uint32_t i = node->begin; i < node->end; i++) {
-            float own_low[3], own_high[3];
-            bound_triangle(tree, tree->order[i], own_low, own_high);
-            const double own = vox_box_square(own_low, own_high, low, high);
-            if (own <= square && found(arg, tree->order[i], own))
+    struct waiting stack[STACK_MAX] = {{0, 0}};
+    for (unsigned depth = 1; depth > 0;) {
+        const struct waiting next = stack[--depth];
+        double squares[LANES];
+        if (next.child & TRIANGLE) {
+            if (found(arg, next.child & ~TRIANGLE, next.square))
                 return true;
+            continue;
         }
+        const struct vox_closest_node *node = &tree->nodes[next.child];
+        find_box_squares(node, low, high, squares);
+        for (int i = LANES; i-- > 0;)
+            if (squares[i] <= square && squares[i] < INFINITY)
+                stack[depth++] = (struct waiting){node->children[i], squares[i]};
     }
     return false;
 }

@@ -14,7 +14,6 @@ struct vox_closest {
     const float (*positions)[3];
     const uint32_t (*triangles)[3];
     struct vox_closest_node *nodes;
-    uint32_t *order; /* numbers of triangles, by leaves */
     enum bsq_simd level;
 };
 

@@ -40,7 +40,9 @@ static const double grown = 1.000001;
 /* With limits, edges collapse again as long as less than this share of triangles is left. */
 static const double gain_least = 0.98;
 
-enum { CHILDREN = 4 /* of a place in the heap: fewer levels than with 2 */ };
+/* Places in the heap have four children, which begin at a multiple of four: one line of the cache.
+ */
+enum { CHILDREN = 4, HEAP_TOP = 3 };
 
 struct candidate {
     uint64_t key; /* bits of the cost, which are in the order of costs, above u */
@@ -64,7 +66,7 @@ struct collapse {
     float (*old)[3];       /* of vertices: where they were at first */
     uint32_t *into;        /* sets of vertices that have become one, for vox_find_root() */
     struct candidate *heap;
-    uint64_t heap_count, heap_capacity;
+    uint64_t heap_end, heap_capacity;
     struct vox_places places; /* for pieces */
     struct vox_removed *removed;
     struct vox_limits *limits; /* NULL: the number of triangles is the only one */
@@ -290,12 +292,19 @@ static float get_cost(const struct candidate *candidate)
     return cost;
 }
 
+static uint64_t first_child(uint64_t at)
+{
+    return CHILDREN * (at - HEAP_TOP + 1);
+}
+
 static void sift_down(struct collapse *c, uint64_t at)
 {
     const struct candidate moved = c->heap[at];
-    for (uint64_t child; (child = CHILDREN * at + 1) < c->heap_count; at = child) {
+    for (uint64_t child; (child = first_child(at)) < c->heap_end; at = child) {
         const uint64_t end = child + CHILDREN;
-        for (uint64_t i = child + 1; i < end && i < c->heap_count; i++)
+        for (uint64_t i = 0; i < CHILDREN; i++)
+            __builtin_prefetch(&c->heap[first_child(child + i)]);
+        for (uint64_t i = child + 1; i < end && i < c->heap_end; i++)
             child = is_before(&c->heap[i], &c->heap[child]) ? i : child;
         if (!is_before(&c->heap[child], &moved))
             break;
@@ -314,25 +323,25 @@ static bool is_current(const struct collapse *c, const struct candidate *candida
 /* Drops candidates that do not count any more. */
 static void clean_heap(struct collapse *c)
 {
-    uint64_t kept = 0;
-    for (uint64_t i = 0; i < c->heap_count; i++)
+    uint64_t kept = HEAP_TOP;
+    for (uint64_t i = HEAP_TOP; i < c->heap_end; i++)
         if (is_current(c, &c->heap[i]))
             c->heap[kept++] = c->heap[i];
-    c->heap_count = kept;
-    for (uint64_t i = kept / CHILDREN + 1; i-- > 0 && kept > 0;)
+    c->heap_end = kept;
+    for (uint64_t i = kept; i-- > HEAP_TOP;)
         sift_down(c, i);
 }
 
 /* Adds a candidate. The heap has space for twice the edges of the mesh, so cleaning makes space. */
 static void push(struct collapse *c, struct candidate candidate)
 {
-    if (c->heap_count == c->heap_capacity)
+    if (c->heap_end == c->heap_capacity)
         clean_heap(c);
-    if (c->heap_count == c->heap_capacity)
+    if (c->heap_end == c->heap_capacity)
         return;
-    uint64_t at = c->heap_count++;
-    for (uint64_t above; at > 0; at = above) {
-        above = (at - 1) / CHILDREN;
+    uint64_t at = c->heap_end++;
+    for (uint64_t above; at > HEAP_TOP; at = above) {
+        above = at / CHILDREN + HEAP_TOP - 1;
         if (!is_before(&candidate, &c->heap[above]))
             break;
         c->heap[at] = c->heap[above];
@@ -342,10 +351,9 @@ static void push(struct collapse *c, struct candidate candidate)
 
 static struct candidate pop(struct collapse *c)
 {
-    const struct candidate top = c->heap[0];
-    c->heap[0] = c->heap[--c->heap_count];
-    if (c->heap_count > 0)
-        sift_down(c, 0);
+    const struct candidate top = c->heap[HEAP_TOP];
+    c->heap[HEAP_TOP] = c->heap[--c->heap_end];
+    sift_down(c, HEAP_TOP);
     return top;
 }
 
@@ -587,7 +595,7 @@ static int collapse_edges(struct collapse *c)
             if (vox_first_corner(r, v) != VOX_NONE)
                 push_edges(c, v, true);
         }
-        for (uint64_t i = 0; c->heap_count > 0 && r->alive > c->target; i++) {
+        for (uint64_t i = 0; c->heap_end > HEAP_TOP && r->alive > c->target; i++) {
             int status = collapse_next(c);
             if (status == 0)
                 status = bsq_check(r->ctx);
@@ -598,7 +606,7 @@ static int collapse_edges(struct collapse *c)
             bsq_progress_add(r->ctx, reported - r->alive);
             reported = r->alive;
         }
-        c->heap_count = 0;
+        c->heap_end = HEAP_TOP;
         if (c->limits)
             break;
     }
@@ -658,6 +666,7 @@ int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_limits *limits
                          .unit = find_unit(mesh),
                          .removed = removed,
                          .limits = limits,
+                         .heap_end = HEAP_TOP,
                          /* twice the edges of a closed mesh */
                          .heap_capacity = 3 * (uint64_t)mesh->triangle_count + 16};
     int status = 0;

@@ -137,14 +137,16 @@ done:
 /* ---- the triangles of a chunk ---- */
 
 /* Measures points spread over a triangle. A sequence of low discrepancy (Roberts, "The Unreasonable
- * Effectiveness of Quasirandom Sequences", 2018). Returns the part of the area that corners still
- * stand for. */
+ * Effectiveness of Quasirandom Sequences", 2018). near: a triangle of the mesh. Returns the part of
+ * the area that corners still stand for. */
 static double measure_inside(const struct vox_measuring *m, const float *const corners[3],
-                             double area, struct measure_slot *slot)
+                             uint32_t near, double area, struct measure_slot *slot)
 {
     const double wanted = POINTS_SHARE * area / (m->reach * m->reach);
     const unsigned count = wanted < POINTS_MAX ? (unsigned)wanted + 1 : POINTS_MAX;
     const double inner = count == 1 ? 0.75 : 1; /* exact up to the second degree, if it is one */
+    const float *other[3];
+    vox_closest_corners(&m->tree, near, other);
     for (unsigned i = 0; i < count; i++) {
         double u = fmod(1.0 / 3 + 0.7548776662466927 * i, 1.0),
                v = fmod(1.0 / 3 + 0.5698402909980532 * i, 1.0), point[3], square = INFINITY;
@@ -155,6 +157,7 @@ static double measure_inside(const struct vox_measuring *m, const float *const c
         for (int k = 0; k < 3; k++)
             point[k] = (1 - u - v) * (double)corners[0][k] + u * (double)corners[1][k] +
                        v * (double)corners[2][k];
+        square = vox_triangle_square_at(other, point, square);
         vox_closest_point(&m->tree, point, &square);
         vox_add_distance(m, &slot->sums, square, inner * area / count);
         vox_boxes_add_point(m, point, square, inner * area / count, slot->boxes, slot->box_count);
@@ -218,7 +221,7 @@ static int measure_triangles(const struct vox_measuring *m, const struct fmt_tri
         const double area = vox_triangle_area(positions, v);
         double share = 1;
         if (area > fine)
-            share = measure_inside(m, corners, area, slot);
+            share = measure_inside(m, corners, of->closest[v[0]], area, slot);
         for (int k = 0; k < 3; k++)
             of->weights[v[k]] += share * area / 3;
         const double bound = vox_bound_by_corners(m, corners, v, of, allowed);
@@ -363,7 +366,7 @@ static void measure_sizes(struct vox_measuring *m)
     for (uint64_t i = 0; i < header->chunk_count; i++) {
         const uint64_t bytes = fmt_tris_load_size(m->file, i) +
                                VERTEX_BYTES * (uint64_t)chunks[i].vertex_count +
-                               TRIANGLE_BYTES * ((uint64_t)chunks[i].triangle_count + 1);
+                               TRIANGLE_BYTES * ((uint64_t)chunks[i].triangle_count + 64);
         m->chunk_bytes = bytes > m->chunk_bytes ? bytes : m->chunk_bytes;
     }
     for (uint32_t t = 0; t < m->mesh->triangle_count; t++)

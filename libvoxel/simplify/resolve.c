@@ -164,17 +164,16 @@ done:
     return status;
 }
 
-/* Lists the triangles whose bounds are too high, neighbours after each other. */
+/* Lists the triangles whose bounds are too high. Neighbours mostly follow each other, as in the
+ * chunks of the scan. */
 static void list_open(struct resolving *r)
 {
     const double allowed = vox_bound_allowed(&r->m->low);
     r->open_count = 0;
-    for (uint32_t i = 0; i < r->m->mesh->triangle_count; i++) {
-        const uint32_t t = r->m->tree.order[i];
+    for (uint32_t t = 0; t < r->m->mesh->triangle_count; t++)
         if (r->m->bounds[t] > allowed && !r->done[t])
             r->open[r->open_count++] =
                 (struct open_triangle){.reach = r->m->bounds[t], .number = t};
-    }
 }
 
 /* Chooses the first open triangles, as many as probably have few enough near ones. */

@@ -196,6 +196,7 @@ static int bound_samples(void *arg, uint64_t block, unsigned worker)
 struct searched {
     struct fmt_tris_chunk chunk;
     struct vox_closest tree;
+    uint32_t near; /* a triangle that was closest to a sample before */
     void *scratch;
 };
 
@@ -207,6 +208,7 @@ static int measure_sample(const struct sampling *s, uint64_t index, uint32_t sam
     const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(m->file)[index];
     const float(*p)[3] = (const float(*)[3])s->points[sample];
     const double most = get_found(s, sample);
+    const float *corners[3];
     double square = most;
     if (vox_box_square(info->bounds_min, info->bounds_max, *p, *p) >= most)
         return 0;
@@ -215,7 +217,9 @@ static int measure_sample(const struct sampling *s, uint64_t index, uint32_t sam
         BSQ_PASS(vox_closest_build(m->ctx, in->chunk.positions, in->chunk.triangles,
                                    in->chunk.triangle_count, true, &in->tree));
     }
-    vox_closest_squares(&in->tree, p, 1, &square, NULL);
+    vox_closest_corners(&in->tree, in->near, corners);
+    square = vox_triangle_square(corners, *p, square);
+    vox_closest_squares(&in->tree, p, 1, &square, &in->near);
     if (square < most)
         lower_found(s, sample, square);
     return 0;
