@@ -87,15 +87,13 @@ def certificate_of(output):
     output = Path(output)
     made = output.with_name(output.stem + "_asset")
     paper = made / "asset.json"
-    if not output.exists():  # of several levels
-        output = output.with_name(output.stem + "_0.glb")
     certificate = json.loads(paper.read_text())
     levels = certificate["levels"]
     for level in levels:
         for name, checksum in level["files"].items():
-            folder = output.parent if name.endswith(".glb") else made / level["name"] if len(levels) > 1 else made
+            folder = output.parent if name.endswith((".glb", ".usdz")) else made / level["name"] if len(levels) > 1 else made
             assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == checksum, name
-        assert any(name.endswith(".glb") for name in level["files"])
+        assert any(name.endswith((".glb", ".usdz")) for name in level["files"])
     return certificate
 
 

@@ -74,8 +74,9 @@ def draw_options(draw, lows, folder):
         "-j": [1, 2, 3, -1]}
     size = draw.choice([31, 64, 64, 64, 64, 16, 0]) if draw.random() < 0.9 else 100000
     options = ["--size", size]
+    of_low = ("--triangles", "--min-component", "--min-triangles", "--error", "--close-holes", "--hard-angle", "--winding")
     for name, values in choices.items():
-        if draw.random() < 0.25:
+        if draw.random() < (0.02 if "--low" in options and name in of_low else 0.25):  # they are refused
             # Values that make no sense stand last; most draws are of the others.
             value = draw.choice(values[:max(1, len(values) // 2)] if draw.random() < 0.9 else values)
             options += [name] if value is None else [name, value]

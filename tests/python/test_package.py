@@ -401,18 +401,21 @@ def test_asset_with_a_page_has_the_same_maps(tmp_path):
 
 
 def test_levels_of_a_scan_in_memory(scan, tmp_path, monkeypatch):
-    monkeypatch.setitem(bisque.PRESETS["museum"], "levels", [(300, 64), (900, 128)])
+    monkeypatch.setitem(bisque.PRESETS["museum"], "levels", [(300, 64), (900, 128), (600, 64)])
     monkeypatch.setitem(bisque.PRESETS["museum"], "maps", ("normal", "color"))
     seen = []
     certificate = bisque.asset(scan, tmp_path / "s.glb", preset="museum", units="cm", memory="512M",
                                progress=lambda *what: seen.append(what[1]))
-    assert [level["size"] for level in certificate["levels"]] == [64, 128]
-    names = ["s-0.3k-64-thumb.glb", "s-0.9k-128-high.glb", "s-0.9k-64-medium.glb", "s-0.9k-32-low.glb"]
+    assert [level["size"] for level in certificate["levels"]] == [64, 128, 64]
+    names = ["s-0.3k-64-thumb.glb", "s-0.9k-128-high.glb", "s-0.9k-64-medium.glb", "s-0.9k-32-low.glb",
+             *["s-0.6k-64-ar.glb"] * 2, "s-0.6k-64-ar.usdz"]
     scene = json.loads((tmp_path / "scene.svx.json").read_text())
-    files = [derivative["assets"][0] for derivative in scene["models"][0]["derivatives"]]
-    assert [file["uri"] for file in files] == names and [file["imageSize"] for file in files] == [64, 128, 64, 32]
+    derivatives = scene["models"][0]["derivatives"]
+    files = [derivative["assets"][0] for derivative in derivatives]
+    assert [file["uri"] for file in files] == names and [file["imageSize"] for file in files][:4] == [64, 128, 64, 32]
+    assert [d["usage"] for d in derivatives if d["quality"] == "AR"] == ["Web3D", "App3D", "iOSApp3D"]
     assert [file["byteSize"] for file in files] == [(tmp_path / name).stat().st_size for name in names]
-    assert sorted(path.name for path in tmp_path.glob("*.glb")) == sorted(names)
+    assert {path.name for kind in ("*.glb", "*.usdz") for path in tmp_path.glob(kind)} == {*names}
     with pytest.raises(ValueError, match="needs the unit"):
         bisque.asset(scan, tmp_path / "s.glb", preset="museum")
     with pytest.raises(bisque.Error, match="is of another asset"):

@@ -19,7 +19,7 @@ from typing import Any, Iterable
 
 import numpy as np
 
-from . import core, glb, materials, museum, place, programs, repair, seen, uv
+from . import core, glb, materials, museum, place, programs, repair, seen, usdz, uv
 from .core import Error
 from .mesh import Mesh, as_mesh, is_path, parse_texels, read_mesh
 from .steps import FAILED_IO, Folder, Steps, sha256
@@ -198,6 +198,8 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
     made = {}
     for path, file in shown.items():
         made[path], placement = place.placed(steps, level, file, low, report.get("preview_up"))
+        if path.suffix.lower() == usdz.SUFFIX:
+            made[path] = usdz.made(steps, level, made[path])
     made.update({level["made"] / path.name: path for path in (obj, mtl, files["preview"], *images.values())})
     if level["report"]:
         made[level["made"] / "report.html"] = obj.with_name("report.html")
@@ -237,7 +239,7 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
           geometry: str = "none", report: bool = False, keep: str | os.PathLike | None = None,
           memory: int | str | None = None, threads: int = 0, progress: core.Progress | None = None,
           command: list[str] | None = None) -> dict:
-    """Makes an asset of a scan: OUTPUT.glb, and beside it a folder OUTPUT_asset with the mesh and its
+    """Makes an asset of a scan: OUTPUT.glb or OUTPUT.usdz, and beside it a folder OUTPUT_asset with the mesh and its
     material (low.obj, low.mtl), the maps, a picture (preview.png) and the certificate, asset.json.
     Of several levels (preset "museum", which needs units), each has GLB files of its own and a folder with its
     number, and `scene.svx.json` shows all in Voyager.
@@ -292,6 +294,8 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
             kept = Folder(Path(keep))
         _refuse_early(made, output, private.path / PUBLISHED, chosen)
         steps = Steps(kept, progress, len(chosen))
+        if len(chosen) > 1 and not usdz.installed():
+            steps.tell("usdz", ["usd-core is not installed, so there is no USDZ file: pip install usd-core"])
         chunks, about = sorted_scan(steps, scan, paths, texture, job)
         level["maps"] = materials.choose_maps(maps, PRESETS[preset]["maps"], about)
         level["has_normals"] = about["normals"]
@@ -367,8 +371,10 @@ def _check_options(output: Path, preset: str, samples: int, surface: str, librar
         if value not in words:
             raise ValueError(f"{name}: {value!r} is none of {', '.join(words)}")
     check_library(library)
-    if output.suffix.lower() != ".glb":
-        raise ValueError(f"{output}: its name must end in .glb")
+    if output.suffix.lower() not in (".glb", usdz.SUFFIX):
+        raise ValueError(f"{output}: its name must end in .glb or .usdz")
+    if output.suffix.lower() == usdz.SUFFIX:
+        usdz.require()
     core.check_number("samples", samples, 1, 2 ** 16)
     if not 0 <= seconds <= 1e9:  # also NaN
         raise ValueError(f"unwrap_seconds: a number from 0 to 1e+09 is needed, not {seconds:g}")
@@ -417,7 +423,7 @@ def older_files(made: Path, output: Path, note: Path, paper: str) -> set[tuple[s
         for level in levels:
             own = made / os.path.basename(level["name"]) if len(levels) > 1 else made
             for name, checksum in level["files"].items():
-                folder = output.parent if name.endswith((".glb", ".svx.json")) else own
+                folder = output.parent if name.endswith((".glb", usdz.SUFFIX, ".svx.json")) else own
                 found.add((os.path.relpath(folder / os.path.basename(name), made), checksum))
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         pass  # there is none

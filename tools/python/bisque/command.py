@@ -94,7 +94,7 @@ def _parser() -> argparse.ArgumentParser:
                      description="Makes a GLB file with baked maps of a scan of any size.")
     parser.add_argument("scan", nargs="+", help="mesh files, read as one scan, or a .tris file")
     parser.add_argument("-o", "--output", required=True, metavar="FILE.glb",
-                        help="the asset; its other files are beside it; with --tiles a folder")
+                        help="the asset, or a .usdz file; its other files are beside it; with --tiles a folder")
     parser.add_argument("--tiles", action="store_true", help="make 3D Tiles: the whole scan, to be streamed")
     parser.add_argument("--tile-triangles", type=int, default=10_000, metavar="N", help="most triangles of a tile")
     parser.add_argument("--place", metavar="LON,LAT,HEIGHT", help="where tiles lie on the earth: degrees, and metres")

@@ -372,18 +372,20 @@ def pack(source: Path, target: Path, folder: Path, *, images: str = "png", geome
 
 
 def packed(steps: Any, level: dict, source: Path, job: dict) -> tuple[dict[Path, Path], dict]:
-    """Packs the GLB file of a level in a step, once for each of its outputs, whose images have sizes of their own.
+    """Packs the GLB file of a level in a step, once for each size that the images of its outputs have.
     Returns the files by outputs, and what packing lost by the names of outputs."""
     how = {"images": level["images"], "geometry": level["geometry"]}
-    if how == {"images": "png", "geometry": "none"} and [size for size, _ in level["outputs"]] == [level["size"]]:
-        return {level["outputs"][0][1]: source}, {}
+    if how == {"images": "png", "geometry": "none"} and {size for size, _ in level["outputs"]} == {level["size"]}:
+        return {path: source for _, path in level["outputs"]}, {}
     files = {path: source.with_name(f"packed_{size}.glb") for size, path in level["outputs"]}
+    factors = {files[path]: level["size"] // size for size, path in level["outputs"]}
 
     def make() -> dict:
-        return {path.name: pack(source, files[path], source.parent, factor=level["size"] // size, **how,
-                                progress=steps.report, **job) for size, path in level["outputs"]}
+        lost = {file: pack(source, file, source.parent, factor=factor, **how, progress=steps.report, **job)
+                for file, factor in factors.items()}
+        return {path.name: lost[file] for path, file in files.items()}
 
     options = {**how, "sizes": [size for size, _ in level["outputs"]], "names": [path.name for path in files]}
     if how["geometry"] == "draco":
         options["version"] = metadata.version("DracoPy")
-    return files, steps.run(f"pack {level['name']}", [source], options, list(files.values()), make)
+    return files, steps.run(f"pack {level['name']}", [source], options, list(factors), make)

@@ -8,17 +8,22 @@ from pathlib import Path
 from . import core
 from .mesh import Error
 from .steps import Folder
+from .usdz import SUFFIX, installed
 
 SCENE = "scene.svx.json"
 #: Of the levels of the preset: the qualities of their files, each of half the size of the one before.
 QUALITIES = (("Thumb",), ("High", "Medium", "Low"), ("AR",))
+#: What viewers take files for augmented reality for: browsers, Android, iPhones.
+USES = {("AR", ".glb"): ("Web3D", "App3D"), ("AR", SUFFIX): ("iOSApp3D",)}
+MIME_TYPES = {".glb": "model/gltf-binary", SUFFIX: "model/vnd.usdz+zip"}
 
 
 def outputs(output: Path, number: int, triangles: int, size: int) -> list[tuple[int, Path]]:
     """Returns the sizes and the files of a level, such as vase-150k-4096-high.glb."""
     sizes = [(size >> i, quality) for i, quality in enumerate(QUALITIES[number]) if size % (1 << i) == 0]
-    return [(side, output.with_name(f"{output.stem}-{triangles / 1000:g}k-{side}-{quality.lower()}.glb"))
-            for side, quality in sizes]
+    return [(side, output.with_name(f"{output.stem}-{triangles / 1000:g}k-{side}-{quality.lower()}{suffix}"))
+            for side, quality in sizes for suffix in (".glb", SUFFIX) if suffix == ".glb" or (
+                quality == "AR" and installed())]
 
 
 def check(output: Path, made: Path, has_units: bool) -> None:
@@ -37,11 +42,14 @@ def add_scene(path: Path, output: Path, chosen: list[tuple[int, int]], levels: l
     """Writes a scene with the files of all levels, and adds it to those of the first one. The camera sees all of the
     model from the front, in metres."""
     far = max(levels[0]["placement"]["size_m"])
-    derivatives = [{"usage": "Web3D", "quality": quality, "assets": [{
-        "uri": target.name, "type": "Model", "mimeType": "model/gltf-binary",
+    qualities = {quality.lower(): quality for of_level in QUALITIES for quality in of_level}
+    derivatives = [{"usage": usage, "quality": quality, "assets": [{
+        "uri": target.name, "type": "Model", "mimeType": MIME_TYPES[target.suffix],
         "byteSize": level["files"][target].stat().st_size, "numFaces": level["triangles"], "imageSize": side}]}
         for number, (pair, level) in enumerate(zip(chosen, levels))
-        for (side, target), quality in zip(outputs(output, number, *pair), QUALITIES[number])]
+        for side, target in outputs(output, number, *pair)
+        for quality in [qualities[target.stem.rpartition("-")[2]]]
+        for usage in USES.get((quality, target.suffix), ("Web3D",))]
     lights = [{"type": "directional", "color": [1, 1, 1], "intensity": 1},
               {"type": "directional", "color": [1, 1, 1], "intensity": 0.5},
               {"type": "ambient", "color": [1, 1, 1], "intensity": 0.3}]

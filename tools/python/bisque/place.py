@@ -50,12 +50,12 @@ def parse_length(name: str, value: Any, unit: float) -> float | str | None:
 
 def matrix_of(up: str | None, unit: float) -> np.ndarray:
     """Returns the matrix that turns the axis that points upwards to +y, and multiplies by a unit."""
-    return unit * np.stack([_turn(UP[up or "y"], axis) for axis in np.eye(3)], axis=1)
+    return unit * np.stack([turn(UP[up or "y"], axis) for axis in np.eye(3)], axis=1)
 
 
 # ---- the GLB file ----
 
-def _turn(q: tuple, v: Any) -> np.ndarray:
+def turn(q: tuple, v: Any) -> np.ndarray:
     """Turns a vector by a quaternion."""
     axis = np.asarray(q[:3], float)
     across = 2 * np.cross(axis, v)
@@ -74,7 +74,7 @@ def place_glb(source: Path, target: Path, up: str, scale: float, both_sides: boo
     glb = Glb(source)
     for number in glb.head["scenes"][glb.head.get("scene", 0)]["nodes"]:
         node = glb.head["nodes"][number]
-        node["translation"] = (scale * _turn(UP[up], node.get("translation", (0, 0, 0)))).tolist()
+        node["translation"] = (scale * turn(UP[up], node.get("translation", (0, 0, 0)))).tolist()
         node["rotation"] = _product(UP[up], node.get("rotation", (0, 0, 0, 1)))
         node["scale"] = [scale * s for s in node.get("scale", (1, 1, 1))]
     for material in glb.head.get("materials", []) if both_sides else []:
@@ -90,7 +90,7 @@ def placed(steps: Any, level: dict, source: Path, low: Mesh, guess: str | None) 
     up, unit = how["up"] or "y", unit_of(how["units"], how["scale"])
     target = source.with_name(f"placed_{source.name}")
     size = unit * np.ptp(low.vertices, axis=0).astype(float)
-    turned = np.abs(_turn(UP[up], size))
+    turned = np.abs(turn(UP[up], size))
     changes = up != "y" or unit != 1 or both_sides
 
     def make() -> dict:

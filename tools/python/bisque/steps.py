@@ -23,7 +23,7 @@ from .core import Error
 FAILED_IO = {errno.EIO, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EPIPE, errno.ESTALE}
 #: What each step is of all the work, for the progress bar.
 WEIGHTS = {"sort": 20, "simplify": 25, "unwrap": 10, "voxelize": 10, "bake": 25, "pack": 5, "check": 10, "mend": 3,
-           "place": 1}
+           "place": 1, "usdz": 1}
 
 
 # ---- files ----
@@ -220,7 +220,7 @@ class Steps:
             known = self.known[name] = {"key": key, **self._work(name, paths, outputs, work)}
             self._write_note()
         else:
-            self._tell(name, known["warnings"])
+            self.tell(name, known["warnings"])
         self.seconds[name] = time.monotonic() - start
         self.done = before + weight
         return known["result"]
@@ -234,13 +234,13 @@ class Steps:
             result = json.loads(json.dumps(work(), default=float))  # as a later run reads it
         finally:
             core.listener.reset(token)
-            self._tell(name, heard.lines)
+            self.tell(name, heard.lines)
         read = {path: self.content(path, heard.files.get(path, ""))
                 for path in sorted({*paths, *heard.files} - {os.path.abspath(o) for o in outputs})}
         return {"outputs": [identity(o) for o in outputs], "read": read, "result": result,
                 "warnings": heard.lines}
 
-    def _tell(self, name: str, lines: list[str]) -> None:
+    def tell(self, name: str, lines: list[str]) -> None:
         """Passes warnings on, each once."""
         told = [line for others in self.warnings.values() for line in others]
         self.warnings[name] = lines
