@@ -199,6 +199,16 @@ def test_opacity_blends(tmp_path):
     close(images["baseColorTexture"][at][:, 3], u, 1.5 / 255)
 
 
+def test_masks_that_cut_nothing_are_opaque(tmp_path):
+    scan, low = write_scan(tmp_path, "MASK"), write_low(tmp_path / "low.obj")
+    root = json.loads(scan.read_text())
+    for material in root["materials"]:
+        material["alphaCutoff"] = 0
+    scan.write_text(json.dumps(root))
+    level, = bisque.asset(scan, tmp_path / "a.glb", low=low, size=64)["levels"]
+    assert level["opacity_error"]["max"] == 0 and "alphaMode" not in read_material(tmp_path / "a.glb")[1]
+
+
 def test_maps_choose_what_is_taken(tmp_path):
     scan, low = write_scan(tmp_path, "OPAQUE"), write_low(tmp_path / "low.obj")
     level, = bisque.asset(scan, tmp_path / "a.glb", low=low, size=64, maps=["normal", "roughness"])["levels"]

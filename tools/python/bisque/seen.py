@@ -143,7 +143,7 @@ def _shade(glb: dict, maps: Sequence[str], t: np.ndarray, w: np.ndarray, job: di
     found = {"normal": n / np.linalg.norm(n, axis=1, keepdims=True).clip(1e-30) / 2 + 0.5}
     for name in (name for name in maps if name in ABSENT):
         image, component, factor = shows.get(name, (None, None, 1))
-        found[name] = np.full((len(uv), 3), ABSENT[name])
+        found[name] = np.full((len(uv), 3 if TEXTURES[name][1] is None else 1), ABSENT[name])
         if image:
             found[name] = factor * core.sample_image(image, uv, data=component is not None, alpha=component == 3, **job)
             found[name] = found[name][:, slice(3) if component is None else [component % 3]]
