@@ -1,5 +1,5 @@
 /* device.c - chooses a device by name; falls back from a GPU to native threads, also if the grid
- * does not fit the GPU. */
+ * or a chunk does not fit the GPU. */
 #include "libbake/device/device.h"
 
 #include <errno.h>
@@ -30,7 +30,7 @@ struct bake_device {
     struct bake_gpu *gpu;       /* NULL: the processor traces */
     bool automatic;             /* the processor may go on if the GPU fails */
     pthread_mutex_t lock;       /* protects the opening of the processor then */
-    struct bake_native *native; /* the processor; NULL until it is needed */
+    struct bake_native *native; /* the processor; NULL until it is needed, and without a grid */
     atomic_bool lost;           /* the GPU failed; the processor goes on */
     char name[256];             /* of the GPU, and of the processor that went on */
 };
@@ -76,8 +76,10 @@ bool bake_is_device_name(const char *name)
 /* Opens the processor, and writes its name. */
 static int open_processor(struct bake_device *device, char *name, size_t size)
 {
-    snprintf(name, size, "cpu, %.100s", bake_native_describe(device->ctx).name);
-    return bake_native_open(device->ctx, &device->scene, &device->native);
+    const struct bake_scene *scene = &device->scene;
+    snprintf(name, size, "cpu, %.100s%s", bake_native_describe(device->ctx).name,
+             scene->grid ? "" : ", exact");
+    return scene->grid ? bake_native_open(device->ctx, scene, &device->native) : 0;
 }
 
 /* ---- finding ---- */
@@ -187,14 +189,15 @@ done:
 static int device_find(struct bake_device *device, const char *name)
 {
     int status = 0;
-    if (bk_ray_count(&device->scene.params) > 0) {
+    if (device->scene.grid && bk_ray_count(&device->scene.params) > 0) {
         BSQ_TRY(bake_tree_build(device->ctx, device->scene.grid, &device->tree));
         device->scene.tree = &device->tree;
     }
     if (strcmp(name, "cpu") != 0)
         BSQ_TRY(strcmp(name, "auto") == 0 ? open_any(device) : open_named(device, name));
     if (device->gpu)
-        snprintf(device->name, sizeof device->name, "%s", device->gpu->name);
+        snprintf(device->name, sizeof device->name, "%s%s", device->gpu->name,
+                 device->gpu->exact ? ", exact" : "");
     else
         status = open_processor(device, device->name, sizeof device->name);
 done:
@@ -237,7 +240,7 @@ static bool fall_back(struct bake_device *device, const char *why)
     if (!device->automatic)
         return false;
     pthread_mutex_lock(&device->lock);
-    if (!device->native && open_processor(device, name, sizeof name) == 0) {
+    if (!atomic_load(&device->lost) && open_processor(device, name, sizeof name) == 0) {
         bsq_warn(device->ctx, "%s: %s; going on with %s", device->gpu->name, why, name);
         snprintf(device->name, sizeof device->name, "%s, then %.100s", device->gpu->name, name);
         atomic_store(&device->lost, true);
@@ -329,6 +332,52 @@ int bake_device_trace_rays(struct bake_device *device, const struct bake_ray_bat
     }
     bake_trace_rays(device->scene.grid, &device->scene.params, unit, batch, 0, batch->count);
     return 0;
+}
+
+/* ---- chunks of triangles ---- */
+
+bool bake_device_has_areas(const struct bake_device *device)
+{
+    return device->gpu && device->gpu->exact && !atomic_load(&device->lost);
+}
+
+/* Likewise for steps whose callers go on: returns 0, or BSQ_RETRY if the processor does. */
+static int after_step(struct bake_device *device, int status, const char *why)
+{
+    const int went = went_well(device, status, why);
+    return went < 0 ? went : went > 0 ? 0 : BSQ_RETRY;
+}
+
+int bake_device_make_areas(struct bake_device *device, uint64_t whole, uint64_t least,
+                           uint32_t *count, uint64_t *bytes)
+{
+    char why[BAKE_WHY_BYTES] = "";
+    const int status = bake_gpu_make_areas(device->gpu, whole, least, why);
+    *count = device->gpu->area_count;
+    *bytes = device->gpu->area_bytes;
+    return after_step(device, status, why);
+}
+
+void bake_device_release_areas(struct bake_device *device)
+{
+    bake_gpu_release_areas(device->gpu);
+}
+
+int bake_device_send(struct bake_device *device, uint32_t area, uint64_t at, const void *from,
+                     uint64_t bytes, unsigned worker)
+{
+    char why[BAKE_WHY_BYTES] = "";
+    return after_step(device, bake_gpu_send(device->gpu, area, at, from, bytes, worker, why), why);
+}
+
+int bake_device_look(struct bake_device *device, uint32_t area, const struct bk_params *params,
+                     const struct bake_viewpoints *viewpoints, uint64_t begin, uint64_t end,
+                     unsigned worker, const struct bake_ray_states *states)
+{
+    char why[BAKE_WHY_BYTES] = "";
+    const int status =
+        bake_gpu_look(device->gpu, area, params, viewpoints, begin, end, worker, states, why);
+    return after_step(device, status, why);
 }
 
 void bake_device_times(struct bake_device *device, struct bake_device_times *out)

@@ -15,8 +15,8 @@ struct bake_device;
 /* Opens a device by its name on the command line (BAKE_DEVICE_NAMES) and loads the grid. "auto"
  * takes the first GPU that works and has memory for the grid, else the processor. If the GPU fails
  * later, the processor goes on. If the grid does not fit a device that was named, the processor
- * takes its place, after a warning. Errors: BSQ_ENODEVICE, with the devices that exist; BSQ_EUSAGE
- * for any other name. */
+ * takes its place, after a warning. Without a grid, likewise for chunks of triangles. Errors:
+ * BSQ_ENODEVICE, with the devices that exist; BSQ_EUSAGE for any other name. */
 int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_scene *scene,
                      struct bake_device **out);
 void bake_device_close(struct bake_device *device); /* NULL is allowed */
@@ -46,6 +46,23 @@ int bake_device_end(struct bake_device *device, const struct bk_patch *patch, fl
 int bake_device_trace_rays(struct bake_device *device, const struct bake_ray_batch *batch,
                            double unit, unsigned worker);
 uint32_t bake_device_most_rays(const struct bake_device *device);
+
+/* ---- chunks of triangles ---- */
+
+/* Returns whether a GPU traces rays through chunks, until it fails. Then the caller does. */
+bool bake_device_has_areas(const struct bake_device *device);
+
+/* Do what the functions of gpu.h do, for the GPU of bake_device_has_areas(). Errors: BSQ_RETRY if
+ * it failed and the processor goes on, after a warning; BSQ_ENODEVICE if it failed and was named;
+ * BSQ_ENOMEM. */
+int bake_device_make_areas(struct bake_device *device, uint64_t whole, uint64_t least,
+                           uint32_t *count, uint64_t *bytes);
+void bake_device_release_areas(struct bake_device *device);
+int bake_device_send(struct bake_device *device, uint32_t area, uint64_t at, const void *from,
+                     uint64_t bytes, unsigned worker);
+int bake_device_look(struct bake_device *device, uint32_t area, const struct bk_params *params,
+                     const struct bake_viewpoints *viewpoints, uint64_t begin, uint64_t end,
+                     unsigned worker, const struct bake_ray_states *states);
 
 /* Returns what the device did so far; zeros for the processor. Must not be called while patches are
  * traced. */

@@ -11,6 +11,7 @@
 
 #include "formats/chunks/tris.h"
 #include "libbake/bake.h"
+#include "libbake/device/device.h"
 #include "libbake/maps/maps.h"
 #include "libbake/ray/ray.h"
 
@@ -63,8 +64,15 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_ray_batch *batc
 
 struct bake_exact_look;
 
+/* Returns the device memory that secondary rays need at least, for struct bake_scene. */
+uint64_t bake_exact_chunk_bytes(const struct bake_exact *exact);
+/* Lets a device trace the secondary rays of later looks, with the same results, or from NULL on the
+ * processor again. It must stay open until these are freed. */
+void bake_exact_set_device(struct bake_exact *exact, struct bake_device *device);
+
 /* Prepares secondary rays: takes up to a third of what is left of the budget, for the chunks of the
- * scan. params: maps, counts and lengths of rays; must outlive *out. Errors: BSQ_ENOMEM. */
+ * scan. params: maps, counts and lengths of rays; must outlive *out. Errors: BSQ_ENOMEM; of a
+ * device, those of bake_device_make_areas(). */
 int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *params,
                            struct bake_exact_look **out);
 void bake_exact_look_free(struct bake_exact_look *look); /* NULL is allowed */
@@ -72,8 +80,8 @@ void bake_exact_look_free(struct bake_exact_look *look); /* NULL is allowed */
 /* Traces the rays of all viewpoints as bk_secondary.h describes, but against triangles, and notes
  * in their states what the scan adds. Results do not depend on chunks, threads or memory. If all
  * chunks fit into memory, they are loaded by the first call; otherwise each call loads those that
- * its rays can reach. Must not be called from parallel work. Errors: those of bake_exact_trace().
- */
+ * its rays can reach. Must not be called from parallel work. Errors: those of bake_exact_trace();
+ * BSQ_ENODEVICE. */
 int bake_exact_look_from(struct bake_exact_look *look, const struct bake_viewpoints *viewpoints,
                          struct bake_ray_states *states);
 

@@ -69,10 +69,10 @@ static struct exact_box box_of_rays(const struct bake_ray_batch *batch, uint64_t
     double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
     const double longest = fmax(fabs(batch->t_min), fabs(batch->t_max));
     struct exact_box box = EXACT_EMPTY_BOX;
-    struct exact_line line;
+    bk_line line;
     for (const struct bake_ray *ray = batch->rays + begin; ray < batch->rays + end; ray++)
-        for (int k = exact_line_set(&line, ray->origin, ray->direction) ? 0 : 3; k < 3; k++) {
-            const double o = (double)ray->origin[k], d = (double)exact_component(ray->direction[k]);
+        for (int k = bk_line_set(&line, ray->origin, ray->direction) ? 0 : 3; k < 3; k++) {
+            const double o = (double)ray->origin[k], d = (double)bk_component(ray->direction[k]);
             const double a = o + d * batch->t_min, b = o + d * batch->t_max;
             const double nearer = a < b ? a : b, farther = a < b ? b : a;
             low[k] = nearer < low[k] ? nearer : low[k];

@@ -4,10 +4,18 @@
 #include <string.h>
 
 #include "base/geometry/middles.h"
+#include "libbake/kernel/bk_meet.h"
+
+/* Devices read the same bytes. */
+_Static_assert(sizeof(struct exact_box8) == BK_NODE_SIZE * sizeof(bk_float4), "see bk_meet.h");
+_Static_assert(sizeof(struct exact_leaf) == BK_LEAF_SIZE * sizeof(bk_float4), "see bk_meet.h");
+_Static_assert(sizeof(bk_chunk) == BSQ_ALIGNMENT, "see bk_meet.h");
+_Static_assert(BSQ_ALIGNMENT == BK_CHUNK_UNIT * sizeof(bk_float4), "see bk_meet.h");
+_Static_assert((int)BK_CHUNK_LEVELS == (int)EXACT_TREE_LEVELS, "see bk_meet.h");
 
 static uint64_t tree_bytes(uint32_t triangles)
 {
-    return bsq_align_up(bake_exact_tree_bytes(exact_runs(triangles)), BSQ_ALIGNMENT);
+    return bake_exact_tree_bytes(exact_runs(triangles));
 }
 
 uint64_t bake_exact_leaves_bytes(uint32_t triangles)
@@ -99,4 +107,38 @@ void bake_exact_leaves_build(const struct fmt_tris_chunk *chunk, bool sorted, bo
             set_corners(&out->leaves[first / EXACT_RUN], chunk, middles + first,
                         count - first < EXACT_RUN ? count - first : EXACT_RUN, sided);
     bake_exact_tree_build(&out->tree, exact_runs(count), boxes, memory);
+}
+
+/* ---- areas ---- */
+
+static uint64_t records_bytes(uint32_t chunks)
+{
+    return (chunks + UINT64_C(1)) * sizeof(bk_chunk);
+}
+
+uint64_t bake_exact_table_bytes(uint32_t chunks)
+{
+    return records_bytes(chunks) + bake_exact_tree_bytes(chunks);
+}
+
+/* Describes a tree in an area. Returns where the next one begins. */
+static uint64_t set_record(const struct exact_tree *tree, uint64_t at, bk_chunk *out)
+{
+    const uint64_t leaves = at + bake_exact_tree_bytes(tree->count);
+    *out = (bk_chunk){.nodes = (bk_uint)(at / BSQ_ALIGNMENT),
+                      .leaves = (bk_uint)(leaves / BSQ_ALIGNMENT),
+                      .levels = tree->levels};
+    memcpy(out->first, tree->first, sizeof out->first);
+    return leaves + bsq_align_up(tree->count * sizeof(struct exact_leaf), BSQ_ALIGNMENT);
+}
+
+void bake_exact_table_set(const struct exact_group *group, uint32_t chunks, void *table)
+{
+    uint64_t at = records_bytes(chunks);
+    bk_chunk *records = table;
+    set_record(&group->tree, at, records);
+    memcpy((char *)table + at, group->tree.nodes, bake_exact_tree_bytes(chunks));
+    at = bake_exact_table_bytes(chunks);
+    for (uint32_t c = 0; c < chunks; c++)
+        at = set_record(&group->chunks[c].tree, at, &records[1 + c]);
 }

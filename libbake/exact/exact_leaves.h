@@ -37,6 +37,12 @@ struct exact_group {
     struct exact_leaves *chunks;
 };
 
+/* Returns the bytes of the table of a group with this many chunks, a multiple of BSQ_ALIGNMENT. */
+uint64_t bake_exact_table_bytes(uint32_t chunks);
+/* Writes the table with which an area in the memory of a device begins (bk_meet.h). The group's
+ * chunks follow it there one after the other, each as bake_exact_leaves_build() made it. */
+void bake_exact_table_set(const struct exact_group *group, uint32_t chunks, void *table);
+
 /* Which hits of a ray count: from its origin up to t_max. */
 struct exact_look_limits {
     double t_max;

@@ -10,23 +10,22 @@ struct look {
     const struct exact_leaves *chunk;
     const struct exact_look_limits *limits;
     struct exact_walk walk;
-    struct exact_shear shear;
+    bk_shear shear;
     const float *origin;
-    float from[3], slopes[3]; /* of the shear: origin, and sx, sy, sz */
+    float from[3], slopes[3]; /* origin and s of the shear */
     float far; /* largest coordinate of the chunk's corners, relative to the ray's origin */
     double nearest;
     bool found;
 };
 
 /* Returns a bit mask of the triangles of a leaf that the line may hit within the walk's span: those
- * for which exact_cross_triangle() cannot say no. What it computes in double is computed in float
+ * for which bk_cross_triangle() cannot say no. What it computes in double is computed in float
  * here, so that with unit = 2^-24, sheared corners are off by less than 7 units of look->far, which
  * is doubled here, and edge functions by what follows from that and their own roundings. Where
  * squares overflow, the slack is NaN, and comparisons with that leave a triangle in. */
 LANES_INLINE unsigned leaf_candidates(const struct look *look, const struct exact_leaf *leaf)
 {
-    const struct exact_shear *shear = &look->shear;
-    const int axes[3] = {shear->kx, shear->ky, shear->kz};
+    const bk_uint *axes = look->shear.k;
     const eights sx = eights_splat(look->slopes[0]), sy = eights_splat(look->slopes[1]),
                  sz = eights_splat(look->slopes[2]), unit = eights_splat(0x1p-24f),
                  least = eights_splat(FLT_MIN), off = eights_splat(14 * 0x1p-24f * look->far);
@@ -63,12 +62,13 @@ LANES_INLINE unsigned leaf_candidates(const struct look *look, const struct exac
 static void try_lane(struct look *look, const struct exact_leaf *leaf, unsigned lane)
 {
     const struct exact_look_limits *limits = look->limits;
-    struct exact_crossing crossing;
-    float corners[3][3];
+    const bk_uint *k = look->shear.k;
+    bk_line_hit crossing;
+    bk_vec3 at[3];
     for (int c = 0; c < 3; c++)
-        for (int k = 0; k < 3; k++)
-            corners[c][k] = leaf->corners[c][k][lane];
-    if (!exact_cross_triangle(&look->shear, corners[0], corners[1], corners[2], &crossing) ||
+        at[c] = bk_v3(leaf->corners[c][k[0]][lane], leaf->corners[c][k[1]][lane],
+                      leaf->corners[c][k[2]][lane]);
+    if (!bk_cross_triangle(&look->shear, at[0], at[1], at[2], &crossing) ||
         !(crossing.t >= 0 && crossing.t <= look->nearest))
         return;
     if (!limits->two_sided) {
@@ -182,19 +182,16 @@ bool BSQ_SIMD_NAME(bake_exact_group_trace)(const struct exact_group *group,
                         .limits = limits,
                         .walk = {.ahead = true, .content_bytes = sizeof(struct exact_leaf)},
                         .nearest = limits->t_max};
-    struct exact_shear *shear = &look.shear;
     eights crossed[EXACT_STEPS];
     unsigned bits[EXACT_STEPS];
-    if (!exact_line_set(&look.walk.line, path->origin, direction))
+    if (!bk_line_set(&look.walk.line, path->origin, direction))
         return false;
-    exact_shear_set(shear, path->origin, direction);
+    bk_shear_set(&look.shear, path->origin, direction);
     look.origin = path->origin;
-    look.from[0] = path->origin[shear->kx];
-    look.from[1] = path->origin[shear->ky];
-    look.from[2] = path->origin[shear->kz];
-    look.slopes[0] = (float)shear->sx;
-    look.slopes[1] = (float)shear->sy;
-    look.slopes[2] = (float)shear->sz;
+    for (int k = 0; k < 3; k++) {
+        look.from[k] = path->origin[look.shear.k[k]];
+        look.slopes[k] = (float)look.shear.s[k];
+    }
     look.walk.range = exact_range_of(0, limits->t_max, 0);
     for (uint32_t s = 0; s < path->count; s++)
         bits[s] = exact_walk_crosses(&look.walk, path->steps[s].boxes, &crossed[s]) &

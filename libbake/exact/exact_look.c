@@ -4,7 +4,8 @@
  * time as fit, and each group is traced by all rays that still need it. Between groups, a ray is
  * only its state: a bit if any hit will do, a distance if the nearest counts. The ray itself is
  * computed again. So a batch has millions of rays and loads each chunk once; and a scan that fits
- * into memory is loaded once for all batches. Chunks out of reach of a batch are not loaded.
+ * into memory is loaded once for all batches. Chunks out of reach of a batch are not loaded. On a
+ * device, groups are as large as its memory allows, and the next one is loaded while one is traced.
  *
  * Rays are those of bk_secondary.h, with two differences. Triangles have no planes that disagree,
  * so open rays start above the triangle by no more than rounding errors. And normals are
@@ -23,17 +24,19 @@ enum { BLOCK = 64 /* viewpoints that a thread traces at a time */ };
 struct bake_exact_look {
     struct bake_exact *exact;
     const struct bk_params *params;
-    void *memory; /* of the chunks' leaves */
-    uint64_t bytes;
-    char *scratch; /* of those who load chunks, scratch_bytes each */
-    uint64_t scratch_bytes;
-    uint32_t loaders;         /* who may load chunks at the same time */
-    struct exact_group group; /* the chunks in memory */
-    uint32_t loaded;          /* of them */
-    bool whole;               /* all of the scan's chunks fit */
-    struct exact_box *boxes;  /* of the chunks in memory */
-    void *tree_memory;
-    uint32_t *reached; /* chunks that the current viewpoints can reach */
+    uint32_t areas; /* of the device that traces; 0: the processor does */
+    void *memory;   /* of the chunks' leaves; NULL: they are in areas */
+    uint64_t bytes; /* of that, or of an area */
+    char *scratch; /* of those who load chunks, scratch_bytes each; with areas, a chunk's leaves are
+                      at the end */
+    uint64_t scratch_bytes, largest; /* bytes of the largest chunk's leaves */
+    uint32_t loaders;                /* who may load chunks at the same time */
+    struct exact_group group;        /* the chunks in memory */
+    uint32_t loaded;                 /* of them */
+    bool whole;                      /* all of the scan's chunks fit */
+    struct exact_box *boxes;         /* of the chunks in memory */
+    void *tree_memory, *table;       /* table: of an area */
+    uint32_t *reached;               /* chunks that the current viewpoints can reach */
 };
 
 /* Viewpoints that are traced through one group of chunks after the other. */
@@ -44,6 +47,8 @@ struct pass {
     uint64_t steps, step;   /* of the progress: groups of chunks; those before this one */
     const uint32_t *chunks; /* of the group that is loaded */
     uint32_t count;
+    uint32_t loaders;   /* who share it */
+    uint32_t area;      /* where it is on a device */
     bool sorted, sided; /* see bake_exact_leaves_build() */
 };
 
@@ -78,13 +83,20 @@ static void trace_kind(const struct pass *pass, const bk_viewpoint *viewpoint, u
     }
 }
 
+static void look_add_progress(const struct pass *pass, uint64_t begin, uint64_t end)
+{
+    const struct bake_viewpoints *viewpoints = pass->viewpoints;
+    const double steps = (double)viewpoints->count * (double)pass->steps;
+    const double before = (double)viewpoints->count * (double)pass->step;
+    bsq_progress_add_share(pass->look->exact->ctx, viewpoints->progress,
+                           (before + (double)begin) / steps, (before + (double)end) / steps);
+}
+
 static int trace_block(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     (void)worker;
     const struct pass *pass = arg;
     const struct bake_viewpoints *viewpoints = pass->viewpoints;
-    const double steps = (double)viewpoints->count * (double)pass->steps;
-    const double before = (double)viewpoints->count * (double)pass->step;
     for (uint64_t i = begin; i < end; i++) {
         bk_viewpoint viewpoint;
         if (!viewpoints->get(viewpoints->arg, i, &viewpoint))
@@ -92,8 +104,7 @@ static int trace_block(void *arg, uint64_t begin, uint64_t end, unsigned worker)
         trace_kind(pass, &viewpoint, i, true);
         trace_kind(pass, &viewpoint, i, false);
     }
-    bsq_progress_add_share(pass->look->exact->ctx, viewpoints->progress,
-                           (before + (double)begin) / steps, (before + (double)end) / steps);
+    look_add_progress(pass, begin, end);
     return 0;
 }
 
@@ -161,27 +172,41 @@ static int load_chunk_leaves(const struct pass *pass, uint32_t index, char *memo
     return 0;
 }
 
+/* Loads a chunk to its place in the group's memory, or in the area. */
+static int load_chunk_at(const struct pass *pass, uint32_t index, uint64_t at, char *scratch,
+                         unsigned worker)
+{
+    const struct bake_exact_look *look = pass->look;
+    if (look->areas == 0)
+        return load_chunk_leaves(pass, index, (char *)look->memory + at, scratch);
+    char *leaves = scratch + look->scratch_bytes - look->largest;
+    BSQ_PASS(load_chunk_leaves(pass, index, leaves, scratch));
+    return bake_device_send(look->exact->device, pass->area,
+                            bake_exact_table_bytes(pass->count) + at, leaves,
+                            leaves_bytes(look, pass->chunks[index]), worker);
+}
+
 /* Loads each chunk of a group whose turn is this loader's. */
 static int load_some(void *arg, uint64_t loader, unsigned worker)
 {
     const struct pass *pass = arg;
     const struct bake_exact_look *look = pass->look;
-    char *memory = look->memory, *scratch = look->scratch + loader * look->scratch_bytes;
+    char *scratch = look->scratch + loader * look->scratch_bytes;
+    uint64_t at = 0;
     int status = 0;
-    (void)worker;
     for (uint32_t i = 0; i < pass->count && status == 0; i++) {
-        if (i % look->loaders == loader)
-            status = load_chunk_leaves(pass, i, memory, scratch);
+        if (i % pass->loaders == loader)
+            status = load_chunk_at(pass, i, at, scratch, worker);
         if (status == 0)
             status = bsq_check(look->exact->ctx);
-        memory += leaves_bytes(look, pass->chunks[i]);
+        at += leaves_bytes(look, pass->chunks[i]);
     }
     return status;
 }
 
-/* Loads chunks, and builds the tree over them. Triangles are sorted if there are more rays than
- * triangles: only then does sorting save more time than it takes. */
-static int look_load_group(struct pass *pass, const uint32_t *chunks, uint32_t count)
+/* Begins a group. Triangles are sorted if there are more rays than triangles: only then does
+ * sorting save more time than it takes. */
+static void begin_group(struct pass *pass, const uint32_t *chunks, uint32_t count, uint32_t loaders)
 {
     struct bake_exact_look *look = pass->look;
     uint64_t triangles = 0;
@@ -189,34 +214,122 @@ static int look_load_group(struct pass *pass, const uint32_t *chunks, uint32_t c
         triangles += look->exact->chunks[chunks[i]].triangle_count;
     pass->chunks = chunks;
     pass->count = count;
+    pass->loaders = loaders;
     pass->sorted =
         pass->viewpoints->count * (pass->states->opens + pass->states->solids) > triangles;
     pass->sided = pass->states->solids > 0;
     look->loaded = 0;
-    BSQ_PASS(bsq_parallel_for(look->exact->ctx, look->loaders, load_some, pass));
-    look->loaded = count;
-    bake_exact_tree_build(&look->group.tree, count, look->boxes, look->tree_memory);
-    return 0;
 }
 
-int bake_exact_look_from(struct bake_exact_look *look, const struct bake_viewpoints *viewpoints,
-                         struct bake_ray_states *states)
+/* Builds the tree over the chunks of a group that was loaded. */
+static void end_group(const struct pass *pass)
 {
-    struct pass pass = {.look = look, .viewpoints = viewpoints, .states = states};
-    uint32_t count = look->exact->chunk_count, fitting;
+    struct bake_exact_look *look = pass->look;
+    look->loaded = pass->count;
+    bake_exact_tree_build(&look->group.tree, pass->count, look->boxes, look->tree_memory);
+}
+
+/* Lists the chunks that rays can reach. Returns their count. */
+static uint32_t list_chunks(struct pass *pass)
+{
+    const struct bake_exact_look *look = pass->look;
+    uint32_t count = look->exact->chunk_count;
     if (look->whole)
         for (uint32_t c = 0; c < count; c++)
             look->reached[c] = c;
     else
-        count = find_reached(&pass);
+        count = find_reached(pass);
+    pass->steps = 0;
     for (uint32_t c = 0; c < count; c += count_fitting(look, look->reached + c, count - c))
-        pass.steps++;
-    for (uint32_t c = 0; c < count; c += fitting, pass.step++) {
+        pass->steps++;
+    return count;
+}
+
+static int look_through_memory(struct pass *pass)
+{
+    struct bake_exact_look *look = pass->look;
+    struct bsq_ctx *ctx = look->exact->ctx;
+    const uint32_t count = list_chunks(pass);
+    uint32_t fitting;
+    for (uint32_t c = 0; c < count; c += fitting, pass->step++) {
         fitting = count_fitting(look, look->reached + c, count - c);
-        if (!look->whole || look->loaded == 0)
-            BSQ_PASS(look_load_group(&pass, look->reached + c, fitting));
+        if (!look->whole || look->loaded == 0) {
+            begin_group(pass, look->reached + c, fitting, look->loaders);
+            BSQ_PASS(bsq_parallel_for(ctx, look->loaders, load_some, pass));
+            end_group(pass);
+        }
+        BSQ_PASS(bsq_parallel_ranges(ctx, pass->viewpoints->count, BLOCK, trace_block, pass));
+    }
+    return 0;
+}
+
+/* ---- devices ---- */
+
+/* A group that is loaded to one area, and another one that is traced in the other. */
+struct look_turn {
+    struct pass load, trace;
+    uint64_t batches; /* of viewpoints to trace; 0: no group is traced */
+};
+
+static int trace_batch(const struct pass *pass, uint64_t batch, unsigned worker)
+{
+    const struct bake_exact_look *look = pass->look;
+    const uint64_t each = bake_gpu_viewpoints(look->params), begin = batch * each,
+                   left = pass->viewpoints->count - begin,
+                   end = begin + (left < each ? left : each);
+    BSQ_PASS(bake_device_look(look->exact->device, pass->area, look->params, pass->viewpoints,
+                              begin, end, worker, pass->states));
+    look_add_progress(pass, begin, end);
+    return 0;
+}
+
+static int run_turn(void *arg, uint64_t index, unsigned worker)
+{
+    struct look_turn *turn = arg;
+    return index < turn->load.loaders
+               ? load_some(&turn->load, index, worker)
+               : trace_batch(&turn->trace, index - turn->load.loaders, worker);
+}
+
+/* Completes the area of a group that was loaded. */
+static int send_table(const struct pass *pass)
+{
+    const struct bake_exact_look *look = pass->look;
+    end_group(pass);
+    bake_exact_table_set(&look->group, pass->count, look->table);
+    return bake_device_send(look->exact->device, pass->area, 0, look->table,
+                            bake_exact_table_bytes(pass->count), 0);
+}
+
+static int look_through_areas(struct pass *pass)
+{
+    struct bake_exact_look *look = pass->look;
+    const uint32_t count = list_chunks(pass), each = bake_gpu_viewpoints(look->params);
+    const uint64_t batches = (pass->viewpoints->count + each - 1) / each;
+    struct look_turn turn = {.load = *pass, .trace = *pass};
+    uint32_t next = 0;
+    if (look->whole && look->loaded > 0) {
+        next = count;
+        turn.batches = batches;
+    }
+    while (next < count || turn.batches > 0) {
+        const bool load = next < count && (turn.batches == 0 || look->areas > 1);
+        turn.load.loaders = 0;
+        if (load)
+            begin_group(&turn.load, look->reached + next,
+                        count_fitting(look, look->reached + next, count - next),
+                        turn.batches > 0 ? (look->loaders + 1) / 2 : look->loaders);
         BSQ_PASS(
-            bsq_parallel_ranges(look->exact->ctx, viewpoints->count, BLOCK, trace_block, &pass));
+            bsq_parallel_for(look->exact->ctx, turn.load.loaders + turn.batches, run_turn, &turn));
+        turn.batches = 0;
+        if (!load)
+            continue;
+        BSQ_PASS(send_table(&turn.load));
+        next += turn.load.count;
+        turn.trace = turn.load;
+        turn.batches = batches;
+        turn.load.area = (turn.load.area + 1) % look->areas;
+        turn.load.step++;
     }
     return 0;
 }
@@ -234,31 +347,104 @@ float bake_exact_lift(const struct bake_exact *exact)
     return (float)(most * 0x1p-22);
 }
 
-static int look_allocate(struct bake_exact_look *look)
+/* Returns the triangles of the largest chunk. */
+static uint32_t most_triangles(const struct bake_exact *exact)
+{
+    uint32_t most = 0;
+    for (uint32_t c = 0; c < exact->chunk_count; c++)
+        most = exact->chunks[c].triangle_count > most ? exact->chunks[c].triangle_count : most;
+    return most;
+}
+
+uint64_t bake_exact_chunk_bytes(const struct bake_exact *exact)
+{
+    return bake_exact_table_bytes(exact->chunk_count) +
+           bake_exact_leaves_bytes(most_triangles(exact));
+}
+
+void bake_exact_set_device(struct bake_exact *exact, struct bake_device *device)
+{
+    exact->device = device;
+}
+
+/* Makes areas for groups of the chunks, which need `all` bytes. Leaves none if the device fails and
+ * the processor goes on. */
+static int allocate_areas(struct bake_exact_look *look, uint64_t all)
+{
+    const struct bake_exact *exact = look->exact;
+    const uint64_t table = bake_exact_table_bytes(exact->chunk_count);
+    if (!exact->device || !bake_device_has_areas(exact->device))
+        return 0;
+    const int status = bake_device_make_areas(
+        exact->device, table + all, bake_exact_chunk_bytes(exact), &look->areas, &look->bytes);
+    look->bytes -= status == 0 ? table : 0;
+    look->areas = status == 0 ? look->areas : 0;
+    return status == BSQ_RETRY ? 0 : status;
+}
+
+/* Allocates memory for the chunks that are traced at a time, or for sending them to a device. */
+static int allocate_groups(struct bake_exact_look *look)
 {
     const struct bake_exact *exact = look->exact;
     struct bsq_ctx *ctx = exact->ctx;
     const uint64_t share = bsq_memory_share(ctx, "chunks for secondary rays", 3);
-    uint64_t all = 0, largest = 0;
-    uint32_t triangles = 0;
-    for (uint32_t c = 0; c < exact->chunk_count; c++) {
-        const uint64_t bytes = leaves_bytes(look, c);
-        all += bytes;
-        largest = bytes > largest ? bytes : largest;
-        triangles = exact->chunks[c].triangle_count > triangles ? exact->chunks[c].triangle_count
-                                                                : triangles;
-    }
+    const uint32_t triangles = most_triangles(exact);
+    uint64_t all = 0;
+    for (uint32_t c = 0; c < exact->chunk_count; c++)
+        all += leaves_bytes(look, c);
+    look->largest = bake_exact_leaves_bytes(triangles);
     look->scratch_bytes = bsq_align_up(fmt_tris_load_size_max(exact->file), BSQ_ALIGNMENT) +
                           bake_exact_leaves_scratch_bytes(triangles);
+    BSQ_PASS(allocate_areas(look, all));
+    look->scratch_bytes += look->areas > 0 ? look->largest : 0;
     look->loaders = bsq_threads(ctx);
     while (look->loaders > 1 && look->loaders * look->scratch_bytes > share / 4)
         look->loaders--;
     const uint64_t scratch = look->loaders * look->scratch_bytes,
-                   left = share > scratch + largest ? share - scratch : largest;
-    look->bytes = all < left ? all : left;
-    look->whole = look->bytes == all;
-    BSQ_PASS(bsq_alloc(ctx, "chunks for secondary rays", look->bytes, 1, &look->memory));
+                   left = share > scratch + look->largest ? share - scratch : look->largest;
+    look->loaded = 0;
     BSQ_PASS(bsq_alloc(ctx, "chunks for secondary rays", scratch, 1, &look->scratch));
+    if (look->areas == 0) {
+        look->bytes = all < left ? all : left;
+        BSQ_PASS(bsq_alloc(ctx, "chunks for secondary rays", look->bytes, 1, &look->memory));
+    }
+    look->whole = look->bytes >= all;
+    return 0;
+}
+
+/* Frees what allocate_groups() allocated. */
+static void free_groups(struct bake_exact_look *look)
+{
+    if (look->areas > 0)
+        bake_device_release_areas(look->exact->device);
+    look->areas = 0;
+    BSQ_FREE(look->exact->ctx, look->memory, look->scratch);
+    look->memory = look->scratch = NULL;
+}
+
+/* If the device fails, the processor begins again: what is known of rays stays true. */
+int bake_exact_look_from(struct bake_exact_look *look, const struct bake_viewpoints *viewpoints,
+                         struct bake_ray_states *states)
+{
+    struct pass pass = {.look = look, .viewpoints = viewpoints, .states = states};
+    if (look->areas > 0) {
+        const int status = look_through_areas(&pass);
+        if (status != BSQ_RETRY)
+            return status;
+        free_groups(look);
+        BSQ_PASS(allocate_groups(look));
+    }
+    return look_through_memory(&pass);
+}
+
+static int look_allocate(struct bake_exact_look *look)
+{
+    const struct bake_exact *exact = look->exact;
+    struct bsq_ctx *ctx = exact->ctx;
+    BSQ_PASS(allocate_groups(look));
+    if (look->areas > 0)
+        BSQ_PASS(bsq_alloc(ctx, "tree of chunks", bake_exact_table_bytes(exact->chunk_count), 1,
+                           &look->table));
     BSQ_PASS(BSQ_ALLOC(ctx, "chunks for secondary rays", exact->chunk_count, &look->group.chunks));
     BSQ_PASS(bsq_alloc(ctx, "tree of chunks", bake_exact_tree_bytes(exact->chunk_count), 1,
                        &look->tree_memory));
@@ -288,6 +474,7 @@ void bake_exact_look_free(struct bake_exact_look *look)
     if (!look)
         return;
     struct bsq_ctx *ctx = look->exact->ctx;
-    BSQ_FREE(ctx, look->memory, look->scratch, look->group.chunks, look->tree_memory, look->boxes,
-             look->reached, look);
+    free_groups(look);
+    BSQ_FREE(ctx, look->group.chunks, look->tree_memory, look->table, look->boxes, look->reached,
+             look);
 }

@@ -27,7 +27,8 @@ struct bake_exact {
     struct fmt_shading shading;     /* its channels are those of transfer maps */
     struct bake_area_point *points; /* chunk_points of each chunk; NULL: they are not wanted */
     uint32_t chunk_points;
-    _Atomic uint64_t *loads; /* number of chunks that were loaded, counted again each time */
+    struct bake_device *device; /* NULL: the processor traces all rays */
+    _Atomic uint64_t *loads;    /* number of chunks that were loaded, counted again each time */
 };
 
 /* Returns the number of values that the channels of a hit have. */

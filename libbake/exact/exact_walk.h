@@ -13,7 +13,7 @@ struct exact_range {
 
 /* A ray on its way. Whoever finds a hit shrinks the range. */
 struct exact_walk {
-    struct exact_line line;
+    bk_line line;
     struct exact_range range;
     bool ahead;           /* the range is between 0 and something, and its reach 0 */
     bool done;            /* no better hit is needed */

@@ -14,8 +14,8 @@ struct trace {
     const struct exact_limits *limits;
     const struct bake_ray *ray;
     struct exact_walk walk;
-    double t_max;             /* of hits that count */
-    struct exact_shear shear; /* set for the first triangle: many rays meet none */
+    double t_max;   /* of hits that count */
+    bk_shear shear; /* set for the first triangle: many rays meet none */
     bool sheared;
     struct exact_best *best;
     bool improved;
@@ -43,9 +43,9 @@ static void walk_try_triangle(struct trace *trace, uint32_t triangle)
     struct exact_best *best = trace->best;
     const uint32_t *v = chunk->triangles[triangle];
     const uint64_t number = trace->first + triangle;
-    struct exact_crossing crossing;
+    bk_line_hit crossing;
     if (!trace->sheared)
-        exact_shear_set(&trace->shear, trace->ray->origin, trace->ray->direction);
+        bk_shear_set(&trace->shear, trace->ray->origin, trace->ray->direction);
     trace->sheared = true;
     if (!exact_cross_triangle(&trace->shear, chunk->positions[v[0]], chunk->positions[v[1]],
                               chunk->positions[v[2]], &crossing) ||
@@ -146,7 +146,7 @@ static bool set_sides(struct beam *beam, const struct bake_ray *rays, uint32_t c
     double sides[2][2] = {{INFINITY, INFINITY}, {-INFINITY, -INFINITY}};
     for (uint32_t i = 0; i < count; i++) {
         const double slope =
-            (double)exact_component(rays[i].direction[k]) / (double)rays[i].direction[kz];
+            (double)bk_component(rays[i].direction[k]) / (double)rays[i].direction[kz];
         const double o = (double)rays[i].origin[k], oz = (double)rays[i].origin[kz];
         const double at[2] = {o + (begin - oz) * slope, o + (end - oz) * slope};
         for (int p = 0; p < 2; p++) {
@@ -283,10 +283,10 @@ unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uin
         trace.limits = limits;
         trace.ray = &rays[i];
         trace.best = &best[i];
-        trace.shear = (struct exact_shear){0};
+        trace.shear = (bk_shear){0};
         trace.sheared = trace.improved = trace.walk.ahead = trace.walk.done = false;
         trace.walk.contents = NULL;
-        if (!exact_line_set(&trace.walk.line, rays[i].origin, rays[i].direction))
+        if (!bk_line_set(&trace.walk.line, rays[i].origin, rays[i].direction))
             continue;
         trace.t_max =
             limits->from_reach && best[i].reach < limits->t_max ? best[i].reach : limits->t_max;
@@ -312,11 +312,11 @@ static unsigned rays_cross(const struct bake_ray *rays, uint32_t count, double t
                            const struct exact_box8 *boxes)
 {
     const struct exact_span span = exact_span_of(t_min, t_max);
-    struct exact_line line;
+    bk_line line;
     eights distances;
     unsigned bits = 0;
     for (uint32_t i = 0; i < count; i++)
-        if (exact_line_set(&line, rays[i].origin, rays[i].direction))
+        if (bk_line_set(&line, rays[i].origin, rays[i].direction))
             bits |= exact_line_crosses(&line, boxes, span, 0, &distances);
     return bits;
 }

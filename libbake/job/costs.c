@@ -19,6 +19,10 @@ static const struct speed exact_speed = {0.95e-6, 0.0, 2.3e-6, 4.0e-6, 9.0e-6};
  * and the bytes of the grid that go up in a second. */
 static const struct speed gpu_speed = {1.0e-9, 1.0e-9, 0.92e-9, 2.7e-9, 10e-9};
 static const struct speed beside_gpu_speed = {0.1e-6, 0.0, 0.0, 0.0, 0.4e-6};
+/* Likewise of triangles, whose first rays the processor traces. The card's are aims: no card has
+ * been measured. */
+static const struct speed exact_gpu_speed = {0.0, 0.0, 2.7e-9, 5.0e-9, 0.0};
+static const struct speed beside_exact_gpu_speed = {0.95e-6, 0.0, 0.0, 0.0, 9.0e-6};
 static const double gpu_seconds = 0.5, upload_bytes = 8e9;
 /* Of a triangle in a chunk that is loaded; of one in the tree that rays reach; of one in the chunks
  * that secondary rays need, which are all of the scan. */
@@ -91,9 +95,12 @@ bool bake_expect_processor_first(const struct bake_job *job, uint64_t texels)
 {
     const struct share share = share_of(job, texels);
     const double threads = bsq_threads(job->ctx);
-    const double gpu = gpu_seconds + (double)job->surface.scans->grid.map.size / upload_bytes +
-                       ray_seconds(&share, &gpu_speed) +
-                       ray_seconds(&share, &beside_gpu_speed) / threads;
+    const struct bake_scan *scan = job->surface.scans;
+    const bool exact = scan->exact != NULL;
+    double gpu = gpu_seconds + ray_seconds(&share, exact ? &exact_gpu_speed : &gpu_speed);
+    gpu += ray_seconds(&share, exact ? &beside_exact_gpu_speed : &beside_gpu_speed) / threads;
+    gpu += exact ? load_chunks_seconds(&share, scan->exact) / threads
+                 : (double)scan->grid.map.size / upload_bytes;
     return expect_seconds(job, texels) / threads <= gpu;
 }
 

@@ -18,7 +18,7 @@ static int job_trace(struct bake_job *job, double started)
     BSQ_PASS(bake_rasterise(job));
     BSQ_PASS(bake_open_device(job, bake_expect_work(job)));
     bake_udim_areas(job->options, &job->mesh, &job->udim, &area, &texels);
-    BSQ_PASS(bake_seen_create(&job->surface, area, texels, job->device, &job->seen));
+    BSQ_PASS(bake_seen_create(&job->surface, area, texels, job->traced.grid, &job->seen));
     double opened = bsq_seconds_now();
     job->report->seconds_open = opened - started;
     BSQ_PASS(bake_trace_maps(job));

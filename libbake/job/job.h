@@ -68,7 +68,7 @@ struct bake_job {
     char *scan_names;              /* of several scans, for the maps' headers; NULL: there is one */
     struct bake_measures measures; /* over all tiles */
     struct bake_curvature_counts curvature; /* over those that were traced */
-    struct bake_device *device;             /* NULL: triangles or several scans are traced */
+    struct bake_device *device; /* NULL: the processor traces triangles or several scans */
     struct bake_preview_tile *preview_tiles;
     struct bsq_output *preview; /* complete; NULL: there is none yet */
     struct bake_preview_views preview_views;
@@ -87,8 +87,8 @@ int bake_set_params(struct bake_job *job);
 
 /* ---- costs ---- */
 
-/* Returns whether all cores are expected to bake so many texels from a single grid before a
- * fast GPU, which has to be opened and to get the grid first. */
+/* Returns whether all cores are expected to bake so many texels from a single scan before a
+ * fast GPU, which has to be opened and to get the grid or the chunks first. */
 bool bake_expect_processor_first(const struct bake_job *job, uint64_t texels);
 /* Sets the rays and the seconds that the report expects. The triangles must be prepared. Returns
  * the texels that they cover. */

@@ -68,22 +68,36 @@ static uint32_t most_texels(const struct bake_job *job)
 
 int bake_open_device(struct bake_job *job, uint64_t texels)
 {
-    const char *name = job->options->device;
-    if (job->surface.scan_count > 1 || job->surface.scans->exact) {
+    const char *name = job->options->device ? job->options->device : "";
+    const struct bake_scan *scan = job->surface.scans;
+    const bool looks = bk_ray_count(&job->surface.params) > 0;
+    if (scan->exact && !looks && *name && strcmp(name, "auto") != 0 && strcmp(name, "cpu") != 0)
+        return bsq_fail(job->ctx, BSQ_EUSAGE,
+                        "%s: of triangles, only rays from hits are traced on %s: choose ao, bent "
+                        "or thickness, or the cpu",
+                        scan->path, name);
+    if (job->surface.scan_count > 1 || (scan->exact && !looks)) {
         unsigned threads = bsq_threads(job->ctx);
         snprintf(job->report->device, sizeof job->report->device, "cpu, %u thread%s%s", threads,
                  threads == 1 ? "" : "s", job->surface.grids ? "" : ", exact");
         return 0;
     }
-    job->traced = (struct bake_scene){.grid = &job->surface.scans->grid,
-                                      .triangles = job->triangles,
-                                      .triangle_count = job->triangle_count,
-                                      .patch_texels = most_texels(job),
-                                      .device_memory = job->options->gpu_memory_bytes,
+    job->traced = (struct bake_scene){.device_memory = job->options->gpu_memory_bytes,
                                       .params = job->surface.params};
-    if (!name || !*name)
+    if (scan->exact) {
+        job->traced.chunk_bytes = bake_exact_chunk_bytes(scan->exact);
+    } else {
+        job->traced.grid = &scan->grid;
+        job->traced.triangles = job->triangles;
+        job->traced.triangle_count = job->triangle_count;
+        job->traced.patch_texels = most_texels(job);
+    }
+    if (!*name)
         name = bake_expect_processor_first(job, texels) ? "cpu" : "auto";
-    return bake_device_open(job->ctx, name, &job->traced, &job->device);
+    BSQ_PASS(bake_device_open(job->ctx, name, &job->traced, &job->device));
+    if (scan->exact)
+        bake_exact_set_device(scan->exact, job->device);
+    return 0;
 }
 
 /* Returns whether the scan and the low-poly mesh have about the same size and place, so that longer
@@ -138,7 +152,7 @@ static int trace_tile(const struct bake_job *job, struct bake_tile *tile, uint64
                                          .image = tile->image,
                                          .patch_side = tile->patch_side,
                                          .seen = job->seen};
-    int status = job->device
+    int status = job->traced.grid
                      ? bake_trace_grid_patches(&job->surface, job->device, &patches, job->report)
                      : bake_trace_ray_patches(&job->surface, &patches, objects, job->report);
     if (!job->sees || !(tile->maps & BAKE_MAP_CURVATURE)) {
@@ -256,7 +270,7 @@ int bake_trace_curvature(struct bake_job *job)
             .radius = job->measures.curvature_radius,
             .objects = job->sees && job->tiles[i].raster ? objects_of : NULL,
             .objects_arg = &tile,
-            .device = job->device};
+            .device = job->traced.grid ? job->device : NULL};
         status = bake_curvature_trace(job->ctx, &curvature, &job->curvature);
     }
     return status < 0
@@ -292,6 +306,8 @@ void bake_end_tracing(struct bake_job *job)
 {
     if (job->device)
         note_device(job);
+    if (job->device && !job->traced.grid)
+        bake_exact_set_device(job->surface.scans->exact, NULL);
     bake_device_close(job->device);
     job->device = NULL;
     bsq_free(job->ctx, job->triangles);

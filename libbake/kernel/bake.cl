@@ -1,4 +1,5 @@
 /* bake.cl - the kernel's entries on devices, as OpenCL C or CUDA. */
+#include "bk_meet.h"
 #include "bk_sample.h"
 
 /* The arrays of a grid. `colors` begins with the linear values of the sRGB codes, as 256 floats.
@@ -89,3 +90,25 @@ BK_KERNEL bake_rays(BK_GRID_ARRAYS, bk_params params, bk_single_rays rays,
     bk_trace_single(&grid, &params, &rays, values + ray * BK_RAY_FLOATS,
                     hits + ray * BK_HIT_FLOATS);
 }
+
+#ifdef BK_DOUBLE
+
+/* Traces the rays of viewpoints through the group of chunks in an area; work item (x, y) is ray x
+ * of viewpoint y of `count`. state: of all of them the words of bits, then the distances, then
+ * where they are, see struct bake_ray_states and struct bk_viewpoint. */
+BK_KERNEL bake_meet(const BK_GLOBAL bk_float4 *BK_RESTRICT area, bk_params params, bk_uint count,
+                    BK_GLOBAL bk_uint *BK_RESTRICT state)
+{
+    const bk_uint ray = bk_work_x(), point = bk_work_y();
+    const bk_uint words = 2u * bk_state_words(&params), lengths = bk_state_lengths(&params);
+    BK_GLOBAL bk_uint *distances = state + (bk_ulong)count * words;
+
+    if (ray >= bk_ray_count(&params) || point >= count)
+        return;
+    bk_meet_from(area, &params,
+                 (const BK_GLOBAL bk_viewpoint *)(distances + (bk_ulong)count * lengths) + point,
+                 ray, state + (bk_ulong)point * words,
+                 (BK_GLOBAL float *)distances + (bk_ulong)point * lengths);
+}
+
+#endif

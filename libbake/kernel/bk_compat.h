@@ -1,10 +1,13 @@
 /* bk_compat.h - the one place where the kernel's three languages differ: C, OpenCL C 1.2 and CUDA.
  *
  * Devices that round as IEEE 754 requires must give the same bits. So the kernel uses only + - * /
- * sqrt floor and comparisons in float, and contraction is off.
+ * sqrt floor and comparisons, in float and, for triangles, in double, and contraction is off.
  *
  * bk_lower() and bk_upper() are for numbers that are not NaN, where it does not matter which zero
  * they return.
+ *
+ * BK_DOUBLE is defined if there is double precision. bk_or() may be called for the same word
+ * by many work items.
  *
  * BK_FN begins the definition of a function. BK_GLOBAL marks pointers to a device's memory, such as
  * the grid and the texels; it is empty in C and CUDA. BK_ROLLED stands before a loop that GPUs do
@@ -24,6 +27,11 @@ typedef int bk_int;
 typedef uint bk_uint;
 typedef ulong bk_ulong;
 typedef ulong2 bk_ulong2;
+typedef float4 bk_float4;
+#ifdef cl_khr_fp64
+#pragma OPENCL EXTENSION cl_khr_fp64 : enable
+#define BK_DOUBLE
+#endif
 #define BK_GLOBAL __global
 #define BK_KERNEL __kernel void
 
@@ -39,6 +47,7 @@ typedef ulong2 bk_ulong2;
 #define bk_upper(a, b)   __builtin_fmaxf(a, b)
 #define bk_popcount32(x) ((bk_uint)__builtin_popcount(x))
 #define bk_popcount64(x) ((bk_uint)__builtin_popcountl(x))
+#define bk_or(p, bits)   ((void)__sync_fetch_and_or(p, bits))
 #define bk_work_x()                                                                                \
     (__nvvm_read_ptx_sreg_ctaid_x() * __nvvm_read_ptx_sreg_ntid_x() + __nvvm_read_ptx_sreg_tid_x())
 #define bk_work_y()                                                                                \
@@ -54,6 +63,7 @@ typedef ulong2 bk_ulong2;
 #define bk_upper(a, b)   fmax(a, b)
 #define bk_popcount32(x) popcount((bk_uint)(x))
 #define bk_popcount64(x) ((bk_uint)popcount((bk_ulong)(x)))
+#define bk_or(p, bits)   ((void)atomic_or((volatile __global uint *)(p), bits))
 #define bk_work_x()      ((bk_uint)get_global_id(0))
 #define bk_work_y()      ((bk_uint)get_global_id(1))
 #endif
@@ -68,6 +78,8 @@ typedef int bk_int;
 typedef unsigned int bk_uint;
 typedef unsigned long long bk_ulong;
 typedef ulonglong2 bk_ulong2;
+typedef float4 bk_float4;
+#define BK_DOUBLE
 #define BK_GLOBAL
 #define BK_FN            static __device__ __forceinline__
 #define BK_ROLLED        _Pragma("unroll 1")
@@ -82,6 +94,7 @@ typedef ulonglong2 bk_ulong2;
 #define bk_upper(a, b)   fmaxf(a, b)
 #define bk_popcount32(x) ((bk_uint)__popc(x))
 #define bk_popcount64(x) ((bk_uint)__popcll(x))
+#define bk_or(p, bits)   ((void)atomicOr(p, bits))
 #define bk_prefetch(p)   ((void)0)
 
 #define BK_WIDTH        1
@@ -97,6 +110,10 @@ typedef uint64_t bk_ulong;
 typedef struct bk_ulong2 {
     bk_ulong x, y;
 } bk_ulong2;
+typedef struct bk_float4 {
+    float x, y, z, w;
+} bk_float4;
+#define BK_DOUBLE
 #define BK_GLOBAL
 #define BK_FN static inline
 #define BK_ROLLED
@@ -107,6 +124,7 @@ typedef struct bk_ulong2 {
 #define bk_upper(a, b)   ((a) > (b) ? (a) : (b))
 #define bk_popcount32(x) ((bk_uint)__builtin_popcount(x))
 #define bk_popcount64(x) ((bk_uint)__builtin_popcountll(x))
+#define bk_or(p, bits)   ((void)(*(p) |= (bits)))
 #define bk_prefetch(p)   __builtin_prefetch(p)
 
 #ifndef BK_WIDTH

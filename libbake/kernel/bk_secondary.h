@@ -85,6 +85,17 @@ BK_FN bk_rays bk_rays_of(const bk_params *params, bk_uint open)
     return rays;
 }
 
+/* Return what the state of a viewpoint has, see struct bake_ray_states: words of 64 bits, with a
+ * bit for each open ray if any hit will do; and distances, for other rays. */
+BK_FN bk_uint bk_state_words(const bk_params *params)
+{
+    return params->flags & BK_OPEN_FALLOFF ? 0u : (bk_open_rays(params) + 63u) / 64u;
+}
+BK_FN bk_uint bk_state_lengths(const bk_params *params)
+{
+    return bk_solid_rays(params) + (params->flags & BK_OPEN_FALLOFF ? bk_open_rays(params) : 0u);
+}
+
 /* Hashes an integer (Appleby, MurmurHash3, the finaliser of 32 bits). */
 BK_FN bk_uint bk_hash(bk_uint h)
 {

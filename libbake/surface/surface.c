@@ -53,9 +53,6 @@ static int check_exact(const struct bake_scan *scan, const struct bake_options *
     if (options->sampling == BAKE_NEAREST)
         return bsq_fail(scan->ctx, BSQ_EUSAGE,
                         "%s has triangles: nearest-voxel sampling needs a voxel grid", scan->path);
-    if (!on_processor(options))
-        return bsq_fail(scan->ctx, BSQ_EUSAGE, "%s: triangles are traced on the cpu, not on %s",
-                        scan->path, options->device);
     return 0;
 }
 

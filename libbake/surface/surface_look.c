@@ -272,11 +272,10 @@ static int create_states(struct bake_look *look, uint64_t most)
 {
     struct bsq_ctx *ctx = look->surface->ctx;
     struct bake_ray_states *states = &look->states;
-    const bool falls_off = look->params.flags & BK_OPEN_FALLOFF;
     states->opens = bk_open_rays(&look->params);
     states->solids = bk_solid_rays(&look->params);
-    states->words = falls_off ? 0 : (states->opens + 63) / 64;
-    states->lengths = states->solids + (falls_off ? states->opens : 0);
+    states->words = bk_state_words(&look->params);
+    states->lengths = bk_state_lengths(&look->params);
     const uint64_t bytes =
         states->words * sizeof *states->hidden + states->lengths * sizeof *states->distances;
     const uint64_t share = bsq_memory_share(ctx, "secondary rays", 8);

@@ -90,7 +90,8 @@ enum { GRID_ARRAYS = 10 };
 
 /* Arguments of a launch: those of bake_patch(), and some that the other kernels have. */
 struct arguments {
-    int kernel; /* 0: bake_patch(), 1: bake_look(), 2: bake_rays() */
+    int kernel;       /* 0: bake_patch(), 1: bake_look(), 2: bake_rays(), 3: bake_meet() */
+    CUdeviceptr area; /* of bake_meet(), whose state is `texels` */
     CUdeviceptr arrays[GRID_ARRAYS], triangles, samples, points, found, texels;
     bk_params params;
     bk_patch patch;
@@ -106,7 +107,7 @@ struct work {
     size_t bytes;
     struct arguments arguments;
     unsigned grid[2], block[2];
-    CUdeviceptr used[GRID_ARRAYS + 5]; /* the last `written` of them are written */
+    CUdeviceptr used[GRID_ARRAYS + 6]; /* the last `written` of them are written */
     unsigned use_count, written;
     CUevent event;
     struct work *next;

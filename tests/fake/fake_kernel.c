@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "libbake/kernel/bk_meet.h"
 #include "libbake/kernel/bk_sample.h"
 #include "tests/fake/fake_cuda_internal.h"
 
@@ -32,7 +33,10 @@ static const struct kernel {
                 {PLACES_OF_ARRAYS, PLACE(params), PLACE(points), PLACE(point_count), PLACE(found)}},
                {"bake_rays",
                 ".entry bake_rays(",
-                {PLACES_OF_ARRAYS, PLACE(params), PLACE(rays), PLACE(samples), PLACE(texels)}}};
+                {PLACES_OF_ARRAYS, PLACE(params), PLACE(rays), PLACE(samples), PLACE(texels)}},
+               {"bake_meet",
+                ".entry bake_meet(",
+                {PLACE(area), PLACE(params), PLACE(point_count), PLACE(texels)}}};
 enum { KERNELS = sizeof kernels / sizeof *kernels };
 
 #define ARRAY(type, address) ((address) ? (type *)fake_device_memory(address, 1) : NULL)
@@ -91,6 +95,19 @@ static void run_single(const struct arguments *a, const bk_grid *grid, bk_uint x
                         ARRAY(float, a->texels) + ray * BK_HIT_FLOATS);
 }
 
+/* Does what bake_meet() does for a work item. */
+static void meet_ray(const struct arguments *a, bk_uint ray, bk_uint point)
+{
+    const size_t count = a->point_count, words = 2 * (size_t)bk_state_words(&a->params),
+                 lengths = bk_state_lengths(&a->params);
+    bk_uint *hidden = ARRAY(bk_uint, a->texels), *distances = hidden + count * words;
+
+    if (ray < bk_ray_count(&a->params) && point < count)
+        bk_meet_from(ARRAY(const bk_float4, a->area), &a->params,
+                     (const bk_viewpoint *)(const void *)(distances + count * lengths) + point, ray,
+                     hidden + point * words, (float *)(void *)distances + point * lengths);
+}
+
 static void run_c(const struct work *work)
 {
     const struct arguments *a = &work->arguments;
@@ -103,6 +120,8 @@ static void run_c(const struct work *work)
         for (bk_uint x = 0; x < width; x++)
             if (a->kernel == 0)
                 run_texel(a, &grid, x, y);
+            else if (a->kernel == 3)
+                meet_ray(a, x, y);
             else if (a->kernel == 1)
                 run_ray(a, &grid, x, y);
             else
@@ -161,7 +180,7 @@ CUresult cuModuleLoadDataEx(CUmodule *module, const void *image, unsigned count,
             log = values[i];
     if (!target || atoi(target + strlen(".target sm_")) > fake.capability ||
         !entry_fits(text, &kernels[0]) || !entry_fits(text, &kernels[1]) ||
-        !entry_fits(text, &kernels[2])) {
+        !entry_fits(text, &kernels[2]) || !entry_fits(text, &kernels[3])) {
         if (log)
             strcpy(log, "ptxas fatal\nnot for this GPU");
         return INVALID_PTX;
@@ -222,6 +241,7 @@ CUresult cuLaunchKernel(CUfunction function, unsigned grid_x, unsigned grid_y, u
     a->kernel = (int)(kernel - kernels);
     for (int i = 0; i < GRID_ARRAYS; i++)
         work.used[work.use_count++] = a->arrays[i];
+    work.used[work.use_count++] = a->area;
     work.used[work.use_count++] = a->triangles;
     work.used[work.use_count++] = a->samples;
     work.used[work.use_count++] = a->points;

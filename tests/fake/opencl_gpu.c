@@ -2,6 +2,7 @@
  * GPUs with memory of their own. Environment variables:
  *  - FAKE_OPENCL_REAL=PATH: the other library;
  *  - FAKE_OPENCL_MEMORY=BYTES: memory of each device (1 GiB);
+ *  - FAKE_OPENCL_SINGLE=1: the devices have no double precision;
  *  - FAKE_OPENCL_FAIL=CALL:N:CODE: the Nth call of a function fails with CODE, and so do all later
  *    calls that do work, as on a GPU that was lost; with CALL:N:CODE:once, later calls work.
  * As with NVIDIA's driver, an event has times only after a wait for that event, and threads must
@@ -232,8 +233,9 @@ CL_API_ENTRY cl_int CL_API_CALL clGetDeviceInfo(cl_device_id id, cl_device_info 
         return code;
     if (what == CL_DEVICE_TYPE)
         number = CL_DEVICE_TYPE_GPU;
-    else if (what == CL_DEVICE_HOST_UNIFIED_MEMORY)
-        number = CL_FALSE;
+    else if (what == CL_DEVICE_HOST_UNIFIED_MEMORY ||
+             (what == CL_DEVICE_DOUBLE_FP_CONFIG && getenv("FAKE_OPENCL_SINGLE")))
+        number = 0;
     else if (what != CL_DEVICE_GLOBAL_MEM_SIZE)
         return code;
     memcpy(out, &number, bytes < sizeof number ? bytes : sizeof number);

@@ -117,7 +117,7 @@ check_version()
 
 for ptx; do
     name=$(basename "$ptx" .ptx)
-    sed -E 's/div\.rn\.f32/add.rn.f32/; s/(sqrt|rcp)\.rn\.f32/abs.f32/' "$ptx" >"$work/$name.ptx"
+    sed -E 's/div\.rn\.f(32|64)/add.rn.f\1/; s/(sqrt|rcp)\.rn\.f(32|64)/abs.f\2/' "$ptx" >"$work/$name.ptx"
     if awk -f libbake/kernel/check_ptx.awk "$ptx"; then
         echo "ok - $name rounds as the processor does"
     else

@@ -1,5 +1,5 @@
 /* gpu.c - uploads, patches and times of devices with memory and streams of their own. */
-#include "libbake/device/gpu/gpu.h"
+#include "libbake/device/gpu/gpu_internal.h"
 
 #include <inttypes.h>
 #include <stdio.h>
@@ -15,7 +15,17 @@ enum {
     SHARE_BYTES = 1 << 20     /* that one thread copies at a time */
 };
 
-const char *const bake_kernel_names[BAKE_KERNEL_COUNT] = {"bake_patch", "bake_look", "bake_rays"};
+const char *const bake_kernel_names[BAKE_KERNEL_COUNT] = {"bake_patch", "bake_look", "bake_rays",
+                                                          "bake_meet"};
+
+bool bake_gpu_launches(const struct bake_gpu *gpu, int kernel)
+{
+    if (gpu->exact || kernel == BAKE_MEET)
+        return gpu->exact && kernel == BAKE_MEET;
+    return kernel == BAKE_RAYS   ? gpu->params.maps >> BK_MAP_curvature & 1
+           : kernel == BAKE_LOOK ? bk_ray_count(&gpu->params) > 0
+                                 : true;
+}
 
 int bake_gpu_fail(const struct bake_gpu *gpu, struct bake_failure failure)
 {
@@ -41,7 +51,7 @@ static uint64_t texel_bytes(const struct bake_gpu *gpu, uint64_t texels)
 /* Returns the most single rays that a worker traces at once. */
 static uint64_t single_rays(const struct bake_gpu *gpu)
 {
-    return gpu->params.maps >> BK_MAP_curvature & 1 ? BAKE_GPU_RAYS : 0;
+    return bake_gpu_launches(gpu, BAKE_RAYS) ? BAKE_GPU_RAYS : 0;
 }
 
 /* Return the bytes that a worker sends and fetches at once. */
@@ -56,19 +66,21 @@ static uint64_t fetched_bytes(const struct bake_gpu *gpu)
 {
     const uint64_t texels = texel_bytes(gpu, gpu->patch_texels);
     const uint64_t hits = single_rays(gpu) * BK_HIT_FLOATS * sizeof(float);
-    return texels > hits ? texels : hits;
+    return gpu->exact ? bake_gpu_look_bytes(&gpu->params) : texels > hits ? texels : hits;
 }
 
 static uint64_t point_bytes(const struct bake_gpu *gpu)
 {
-    return bk_ray_count(&gpu->params) > 0
+    return bake_gpu_launches(gpu, BAKE_LOOK)
                ? bake_batch_samples(&gpu->params) * sizeof(struct bk_viewpoint)
                : 0;
 }
 
 static uint64_t found_bytes(const struct bake_gpu *gpu)
 {
-    return bake_batch_samples(&gpu->params) * bk_ray_count(&gpu->params) * sizeof(float);
+    return bake_gpu_launches(gpu, BAKE_LOOK)
+               ? bake_batch_samples(&gpu->params) * bk_ray_count(&gpu->params) * sizeof(float)
+               : 0;
 }
 
 static uint64_t worker_bytes(const struct bake_gpu *gpu)
@@ -107,10 +119,10 @@ static int share_memory(struct bake_gpu *gpu, const struct bake_scene *scene)
                         gpu->device_name, triangles, samples, gpu->buffer_bytes);
     if (fixed >= limit)
         return bsq_fail(gpu->ctx, BSQ_ENODEVICE,
-                        "%s: texels and the low-poly mesh take %" PRIu64
-                        " bytes of the device's memory, "
-                        "%" PRIu64 " are allowed: give more, or fewer --threads",
-                        gpu->device_name, fixed, limit);
+                        "%s: %s take %" PRIu64 " bytes of the device's memory, %" PRIu64
+                        " are allowed: give more, or fewer --threads",
+                        gpu->device_name, gpu->exact ? "rays" : "texels and the low-poly mesh",
+                        fixed, limit);
     gpu->memory_bytes = limit - fixed;
     return gpu->shares_memory
                ? gpu_reserve(gpu, "patches on a device that shares host memory", fixed)
@@ -266,6 +278,22 @@ static int check_space(const struct bake_gpu *gpu, const struct bake_grid_arrays
     return 0;
 }
 
+/* Fails with BSQ_RETRY if the device cannot trace rays through chunks of triangles. */
+static int check_chunks(const struct bake_gpu *gpu, const struct bake_scene *scene)
+{
+    const uint64_t space =
+        gpu->memory_bytes < gpu->array_bytes ? gpu->memory_bytes : gpu->array_bytes;
+    if (gpu->lacks)
+        return bsq_fail(gpu->ctx, BSQ_RETRY, "%s has no %s, which triangles need", gpu->name,
+                        gpu->lacks);
+    if (scene->chunk_bytes > space)
+        return bsq_fail(gpu->ctx, BSQ_RETRY,
+                        "the largest chunk of the scan needs %.1f MiB of memory, %s has %.1f MiB "
+                        "for it",
+                        mebibytes(scene->chunk_bytes), gpu->name, mebibytes(space));
+    return 0;
+}
+
 static int gpu_load(struct bake_gpu *gpu, const struct bake_scene *scene)
 {
     const double started = bsq_seconds_now();
@@ -289,19 +317,18 @@ done:
 
 /* ---- patches ---- */
 
-static void add_argument(struct bake_launch *launch, const void *value, uint64_t bytes)
+void bake_launch_add(struct bake_launch *launch, const void *value, uint64_t bytes)
 {
     launch->arguments[launch->count++] = (struct bake_argument){bytes, value};
 }
-#define ADD(launch, value) add_argument(launch, &(value), sizeof(value))
 
 /* Starts the list of a launch's arguments, with the arrays of the grid. */
 static struct bake_launch begin_launch(const struct bake_gpu *gpu, int kernel)
 {
     struct bake_launch launch = {.kernel = kernel};
     for (int i = 0; i < BAKE_GRID_ARRAYS; i++)
-        ADD(&launch, gpu->arrays[i]);
-    ADD(&launch, gpu->params);
+        BAKE_LAUNCH_ADD(&launch, gpu->arrays[i]);
+    BAKE_LAUNCH_ADD(&launch, gpu->params);
     return launch;
 }
 
@@ -312,14 +339,14 @@ static struct bake_failure launch_patch(struct bake_gpu *gpu, struct bake_stream
     struct bake_launch launch = begin_launch(gpu, BAKE_PATCH);
     launch.width = batch->end_column - batch->first_column;
     launch.height = batch->end_row - batch->first_row;
-    ADD(&launch, gpu->triangles);
-    ADD(&launch, *patch);
-    ADD(&launch, *batch);
-    ADD(&launch, stage);
-    ADD(&launch, stream->samples);
-    ADD(&launch, stream->points);
-    ADD(&launch, stream->found);
-    ADD(&launch, stream->texels);
+    BAKE_LAUNCH_ADD(&launch, gpu->triangles);
+    BAKE_LAUNCH_ADD(&launch, *patch);
+    BAKE_LAUNCH_ADD(&launch, *batch);
+    BAKE_LAUNCH_ADD(&launch, stage);
+    BAKE_LAUNCH_ADD(&launch, stream->samples);
+    BAKE_LAUNCH_ADD(&launch, stream->points);
+    BAKE_LAUNCH_ADD(&launch, stream->found);
+    BAKE_LAUNCH_ADD(&launch, stream->texels);
     stream->launches++;
     return gpu->driver->launch(gpu, stream, &launch);
 }
@@ -333,9 +360,9 @@ static struct bake_failure launch_look(struct bake_gpu *gpu, struct bake_stream 
     launch.height = count;
     for (launch.side = 1; launch.side < launch.width && launch.side < 32;)
         launch.side *= 2;
-    ADD(&launch, stream->points);
-    ADD(&launch, count);
-    ADD(&launch, stream->found);
+    BAKE_LAUNCH_ADD(&launch, stream->points);
+    BAKE_LAUNCH_ADD(&launch, count);
+    BAKE_LAUNCH_ADD(&launch, stream->found);
     stream->launches++;
     return gpu->driver->launch(gpu, stream, &launch);
 }
@@ -393,9 +420,10 @@ static struct bake_failure open_worker(struct bake_gpu *gpu, struct bake_stream 
 {
     const struct bake_driver *driver = gpu->driver;
     BAKE_TRY_CALL(driver->open_stream(gpu, stream));
-    BAKE_TRY_CALL(driver->allocate(gpu, sent_bytes(gpu), &stream->samples));
     BAKE_TRY_CALL(driver->allocate(gpu, fetched_bytes(gpu), &stream->texels));
-    if (bk_ray_count(&gpu->params) > 0) {
+    if (!gpu->exact)
+        BAKE_TRY_CALL(driver->allocate(gpu, sent_bytes(gpu), &stream->samples));
+    if (bake_gpu_launches(gpu, BAKE_LOOK)) {
         BAKE_TRY_CALL(driver->allocate(gpu, point_bytes(gpu), &stream->points));
         BAKE_TRY_CALL(driver->allocate(gpu, found_bytes(gpu), &stream->found));
     }
@@ -403,21 +431,23 @@ static struct bake_failure open_worker(struct bake_gpu *gpu, struct bake_stream 
     return BAKE_NO_FAILURE;
 }
 
+struct bake_failure bake_gpu_take_stream(struct bake_gpu *gpu, struct bake_stream *stream)
+{
+    if (gpu->driver->attach)
+        BAKE_TRY_CALL(gpu->driver->attach(gpu));
+    return stream->open ? BAKE_NO_FAILURE : open_worker(gpu, stream);
+}
+
 /* Enqueues the copy of what a worker's next launches read. */
 static struct bake_failure gpu_send(struct bake_gpu *gpu, struct bake_stream *stream,
                                     const void *data, uint64_t bytes)
 {
-    const struct bake_driver *driver = gpu->driver;
-    if (driver->attach)
-        BAKE_TRY_CALL(driver->attach(gpu));
-    if (!stream->open)
-        BAKE_TRY_CALL(open_worker(gpu, stream));
+    BAKE_TRY_CALL(bake_gpu_take_stream(gpu, stream));
     memcpy(stream->host[0], data, bytes);
-    return driver->send(gpu, stream, stream->host[0], bytes, stream->samples, 0, BAKE_SAMPLES);
+    return gpu->driver->send(gpu, stream, stream->host[0], bytes, stream->samples, 0, BAKE_SAMPLES);
 }
 
-/* Waits for what a worker fetches, in the host memory of the stream. */
-static struct bake_failure gpu_receive(struct bake_gpu *gpu, struct bake_stream *stream)
+struct bake_failure bake_gpu_receive(struct bake_gpu *gpu, struct bake_stream *stream)
 {
     if (gpu->driver->attach)
         BAKE_TRY_CALL(gpu->driver->attach(gpu));
@@ -437,9 +467,8 @@ static struct bake_failure gpu_begin_patch(struct bake_gpu *gpu, struct bake_str
     return gpu->driver->fetch(gpu, stream, texel_bytes(gpu, count));
 }
 
-/* Describes the failure of a worker's work, and releases a stream that could not be opened. */
-static int end_worker(struct bake_gpu *gpu, struct bake_stream *stream, struct bake_failure failure,
-                      char *why)
+int bake_gpu_end_worker(struct bake_gpu *gpu, struct bake_stream *stream,
+                        struct bake_failure failure, char *why)
 {
     if (failure.code == 0)
         return 0;
@@ -463,14 +492,15 @@ int bake_gpu_begin(struct bake_gpu *gpu, const struct bk_patch *patch,
         return BSQ_EBUG;
     }
     struct bake_stream *stream = stream_of(gpu, worker, window);
-    return end_worker(gpu, stream, gpu_begin_patch(gpu, stream, patch, sample_triangles), why);
+    return bake_gpu_end_worker(gpu, stream, gpu_begin_patch(gpu, stream, patch, sample_triangles),
+                               why);
 }
 
 int bake_gpu_end(struct bake_gpu *gpu, const struct bk_patch *patch, float *texels, unsigned worker,
                  unsigned window, char *why)
 {
     struct bake_stream *stream = stream_of(gpu, worker, window);
-    const int status = end_worker(gpu, stream, gpu_receive(gpu, stream), why);
+    const int status = bake_gpu_end_worker(gpu, stream, bake_gpu_receive(gpu, stream), why);
     if (status == 0)
         memcpy(texels, stream->host[0], texel_bytes(gpu, (uint64_t)patch->width * patch->height));
     return status;
@@ -484,14 +514,14 @@ static struct bake_failure gpu_trace_rays(struct bake_gpu *gpu, struct bake_stre
     struct bake_launch launch = begin_launch(gpu, BAKE_RAYS);
     launch.side = launch.width = rays->columns;
     launch.height = (rays->count - 1) / rays->columns + 1;
-    ADD(&launch, *rays);
-    ADD(&launch, stream->samples);
-    ADD(&launch, stream->texels);
+    BAKE_LAUNCH_ADD(&launch, *rays);
+    BAKE_LAUNCH_ADD(&launch, stream->samples);
+    BAKE_LAUNCH_ADD(&launch, stream->texels);
     BAKE_TRY_CALL(gpu_send(gpu, stream, values, rays->count * BK_RAY_FLOATS * sizeof(float)));
     stream->launches++;
     BAKE_TRY_CALL(gpu->driver->launch(gpu, stream, &launch));
     BAKE_TRY_CALL(gpu->driver->fetch(gpu, stream, rays->count * BK_HIT_FLOATS * sizeof(float)));
-    return gpu_receive(gpu, stream);
+    return bake_gpu_receive(gpu, stream);
 }
 
 int bake_gpu_trace_rays(struct bake_gpu *gpu, const float *rays, uint32_t count, float t_min,
@@ -501,14 +531,15 @@ int bake_gpu_trace_rays(struct bake_gpu *gpu, const float *rays, uint32_t count,
     struct bake_stream *stream = stream_of(gpu, worker, 0);
     const struct bake_failure failure = gpu_trace_rays(gpu, stream, rays, &of);
     *hits = (const float *)(const void *)stream->host[0];
-    return end_worker(gpu, stream, failure, why);
+    return bake_gpu_end_worker(gpu, stream, failure, why);
 }
 
 /* ---- from opening to closing ---- */
 
 struct bake_device_times bake_gpu_times(struct bake_gpu *gpu)
 {
-    struct bake_device_times times = {.upload = gpu->upload_seconds,
+    struct bake_device_times times = {.upload = gpu->upload_seconds +
+                                                bake_time_spans_seconds(&gpu->uploads),
                                       .copies = bake_time_spans_seconds(&gpu->copies),
                                       .kernels = bake_time_spans_seconds(&gpu->kernels)};
     for (unsigned i = 0; i < gpu->worker_count * gpu->windows; i++)
@@ -523,6 +554,7 @@ static int create_streams(struct bake_gpu *gpu)
     const uint64_t stream_bytes = gpu->driver->stream_bytes;
     const uint64_t sent = sent_bytes(gpu), fetched = fetched_bytes(gpu);
     const uint64_t host = sent > fetched ? sent : fetched;
+    const uint64_t staging = gpu->exact ? 0 : 2 * (uint64_t)STAGING_BYTES;
     BSQ_PASS(BSQ_CALLOC(gpu->ctx, "streams of the device", count, &gpu->streams));
     BSQ_PASS(
         bsq_calloc(gpu->ctx, "streams of the device", count, stream_bytes, &gpu->stream_memory));
@@ -531,18 +563,20 @@ static int create_streams(struct bake_gpu *gpu)
             .own = gpu->stream_memory + i * stream_bytes, .host_count = 1, .host_bytes = host};
     upload_stream(gpu)->host_count = 2;
     upload_stream(gpu)->host_bytes = STAGING_BYTES;
-    return gpu_reserve(gpu, "page-locked memory", (count - 1) * host + 2 * (uint64_t)STAGING_BYTES);
+    return gpu_reserve(gpu, "page-locked memory", (count - 1) * host + staging);
 }
 
 /* Prepares an opened device for a job and uploads the low-poly mesh. */
 static int gpu_prepare(struct bake_gpu *gpu, const struct bake_scene *scene)
 {
-    gpu->params = scene->params;
     gpu->patch_texels = scene->patch_texels;
     gpu->worker_count = bsq_threads(gpu->ctx);
-    gpu->windows = bake_patch_windows(&gpu->params, gpu->patch_texels, gpu->worker_count);
+    gpu->windows =
+        gpu->exact ? 1 : bake_patch_windows(&gpu->params, gpu->patch_texels, gpu->worker_count);
     BSQ_PASS(create_streams(gpu));
     BSQ_PASS(share_memory(gpu, scene));
+    if (gpu->exact)
+        return check_chunks(gpu, scene);
     struct bake_stream *upload = upload_stream(gpu);
     upload->open = true;
     BSQ_PASS(bake_gpu_fail(gpu, gpu->driver->open_stream(gpu, upload)));
@@ -558,11 +592,14 @@ int bake_gpu_open(struct bsq_ctx *ctx, const struct bake_driver *driver, uint32_
     BSQ_TRY(bsq_calloc(ctx, "device", 1, driver->gpu_bytes, &gpu));
     gpu->ctx = ctx;
     gpu->driver = driver;
+    gpu->params = scene->params;
+    gpu->exact = !scene->grid;
     pthread_mutex_init(&gpu->lock, NULL);
-    status = driver->open(gpu, number, scene);
+    pthread_mutex_init(&gpu->sending, NULL);
+    status = driver->open(gpu, number);
     if (status == 0)
         status = gpu_prepare(gpu, scene);
-    if (status == 0)
+    if (status == 0 && !gpu->exact)
         status = gpu_load(gpu, scene);
     if (status < 0)
         bake_gpu_close(gpu);
@@ -583,11 +620,13 @@ void bake_gpu_close(struct bake_gpu *gpu)
     for (int i = 0; i < BAKE_GRID_ARRAYS; i++)
         if (gpu->arrays[i])
             gpu->driver->release(gpu, gpu->arrays[i]);
+    bake_gpu_release_areas(gpu);
     if (gpu->triangles)
         gpu->driver->release(gpu, gpu->triangles);
     gpu->driver->close(gpu);
     bsq_release(ctx, gpu->reserved_bytes);
     BSQ_FREE(ctx, gpu->streams, gpu->stream_memory);
     pthread_mutex_destroy(&gpu->lock);
+    pthread_mutex_destroy(&gpu->sending);
     bsq_free(ctx, gpu);
 }

@@ -10,6 +10,7 @@
 
 #include "libbake/device/driver/driver.h"
 #include "libbake/device/scene/scene.h"
+#include "libbake/ray/ray.h"
 
 /* ---- launch batches: launches.c ---- */
 
@@ -90,7 +91,8 @@ struct bake_stream {
     unsigned host_count;
     uint64_t host_bytes;
     bool open;
-    /* Of a worker: samples and texels of its patch on the device; or single rays and their hits. */
+    /* Of a worker: samples and texels of its patch on the device; or single rays and their hits.
+     * Without a grid, viewpoints and what is known of their rays are in `texels`. */
     bake_memory samples, texels;
     /* With rays from hits: viewpoints of a batch, and what their rays found. */
     bake_memory points, found;
@@ -114,8 +116,12 @@ struct bake_failure {
     } while (0)
 
 /* The kernels of bake.cl. */
-enum { BAKE_PATCH, BAKE_LOOK, BAKE_RAYS, BAKE_KERNEL_COUNT };
+enum { BAKE_PATCH, BAKE_LOOK, BAKE_RAYS, BAKE_MEET, BAKE_KERNEL_COUNT };
 extern const char *const bake_kernel_names[BAKE_KERNEL_COUNT];
+struct bake_gpu;
+
+/* Returns whether a job launches a kernel. */
+bool bake_gpu_launches(const struct bake_gpu *gpu, int kernel);
 
 struct bake_argument {
     uint64_t bytes;
@@ -135,8 +141,6 @@ struct bake_launch {
     uint32_t count;
 };
 
-struct bake_gpu;
-
 enum { BAKE_GPU_TEXT = 192 };
 
 /* An API. */
@@ -146,10 +150,10 @@ struct bake_driver {
     /* Fills a zeroed list with the devices in the order of their numbers, which their ids end with.
      * Runs in the program bisque-devices, see bake_probe(). */
     void (*list)(struct bake_device_list *out);
-    /* Opens device `number`, which is in the list, for a job, and sets the names, shares_memory,
-     * memory_bytes and buffer_bytes. close() follows, also after a failure, and releases what is
-     * the API's. Errors: BSQ_ENODEVICE, BSQ_ENOMEM. */
-    int (*open)(struct bake_gpu *gpu, uint32_t number, const struct bake_scene *scene);
+    /* Opens device `number`, which is in the list, for the job of gpu->params and sets the names,
+     * shares_memory, lacks, memory_bytes and buffer_bytes. close() follows, also after a failure,
+     * and releases what is the API's. Errors: BSQ_ENODEVICE, BSQ_ENOMEM. */
+    int (*open)(struct bake_gpu *gpu, uint32_t number);
     void (*close)(struct bake_gpu *gpu);
     uint64_t gpu_bytes, stream_bytes; /* of the API's structures, zero at first */
 
@@ -181,6 +185,8 @@ struct bake_driver {
     struct bake_failure (*times)(struct bake_gpu *gpu, struct bake_stream *stream);
 };
 
+enum { BAKE_AREAS = 2 /* for groups of chunks */ };
+
 /* An opened device; the API's structure begins with it. */
 struct bake_gpu {
     char name[128];        /* for users */
@@ -188,11 +194,16 @@ struct bake_gpu {
     struct bsq_ctx *ctx;
     const struct bake_driver *driver;
     bool shares_memory; /* with the host: allocations count for the job's budget */
+    bool exact;         /* there is no grid: chunks of triangles are in `areas` */
+    const char *lacks;  /* what the device lacks for these, or NULL */
     /* Memory that the job may use; from bake_gpu_open() on, for the grid. The largest buffer, and
      * the largest one for an array of the grid. */
     uint64_t memory_bytes, buffer_bytes, array_bytes;
     bake_memory triangles;
     bake_memory arrays[BAKE_GRID_ARRAYS];
+    bake_memory areas[BAKE_AREAS];
+    uint64_t area_bytes; /* of each of them; 0: there are none */
+    uint32_t area_count;
     struct bk_params params; /* the job's, for these arrays */
     uint32_t patch_texels;
     unsigned worker_count, windows; /* see bake_patch_windows() */
@@ -207,15 +218,17 @@ struct bake_gpu {
     uint64_t upload_at;
     struct bake_failure upload_failure;
     double upload_seconds;
-    uint64_t reserved_bytes; /* of host memory, for the whole job */
-    pthread_mutex_t lock;    /* protects copies and kernels */
+    struct bake_time_spans uploads; /* to areas */
+    uint64_t reserved_bytes;        /* of host memory, for the whole job */
+    pthread_mutex_t lock;           /* protects uploads, copies and kernels */
+    pthread_mutex_t sending;        /* to areas: one copy at a time */
     struct bake_time_spans copies, kernels;
 };
 
 /* Opens a device and loads a job's triangles and grid. Patches and triangles take their share of
- * the device's memory, and the grid may have the rest. *out: NULL after a failure. Errors:
- * BSQ_RETRY if the grid does not fit; BSQ_ENODEVICE if not even the rest fits or a call fails;
- * BSQ_ENOMEM, BSQ_EINTR. */
+ * the device's memory, and the grid or the areas may have the rest. *out: NULL after a failure.
+ * Errors: BSQ_RETRY if the grid or a chunk does not fit, or the device does not compute as chunks
+ * need; BSQ_ENODEVICE if not even the rest fits or a call fails; BSQ_ENOMEM, BSQ_EINTR. */
 int bake_gpu_open(struct bsq_ctx *ctx, const struct bake_driver *driver, uint32_t number,
                   const struct bake_scene *scene, struct bake_gpu **out);
 void bake_gpu_close(struct bake_gpu *gpu);
@@ -233,6 +246,28 @@ int bake_gpu_end(struct bake_gpu *gpu, const struct bk_patch *patch, float *texe
 enum { BAKE_GPU_RAYS = 1 << 14 };
 int bake_gpu_trace_rays(struct bake_gpu *gpu, const float *rays, uint32_t count, float t_min,
                         float t_max, const float **hits, unsigned worker, char *why);
+
+/* ---- chunks of triangles: areas.c ---- */
+
+/* Makes areas for groups of chunks, in place of those that are there: one of `whole` bytes, or if
+ * that does not fit, two as large as fit, or one if two would be smaller than `least`. An area has
+ * gpu->area_bytes then. Describes a failure in `why`. Must not be called from parallel work. */
+int bake_gpu_make_areas(struct bake_gpu *gpu, uint64_t whole, uint64_t least, char *why);
+void bake_gpu_release_areas(struct bake_gpu *gpu);
+
+/* Copies bytes to an area, from its byte `at` on. Returns when they are there. Workers may call
+ * this at a time, also while rays meet what is in other areas or parts of them. */
+int bake_gpu_send(struct bake_gpu *gpu, uint32_t area, uint64_t at, const void *from,
+                  uint64_t bytes, unsigned worker, char *why);
+
+/* Returns the most viewpoints of bake_gpu_look(). */
+uint32_t bake_gpu_viewpoints(const struct bk_params *params);
+
+/* Traces the rays of viewpoints begin to end - 1 through the group of an area, and notes in their
+ * states what it adds. params: those of the job's scene, with the lengths of rays in its space. */
+int bake_gpu_look(struct bake_gpu *gpu, uint32_t area, const struct bk_params *params,
+                  const struct bake_viewpoints *viewpoints, uint64_t begin, uint64_t end,
+                  unsigned worker, const struct bake_ray_states *states, char *why);
 
 /* Returns what the device did so far. Must not be called while patches are traced. */
 struct bake_device_times bake_gpu_times(struct bake_gpu *gpu);

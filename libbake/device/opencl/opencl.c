@@ -156,6 +156,8 @@ static struct bake_failure opencl_open_stream(struct bake_gpu *gpu, struct bake_
         cl->api.clCreateCommandQueue(cl->context, cl->device.id, CL_QUEUE_PROFILING_ENABLE, &code);
     CHECK("clCreateCommandQueue", code);
     for (int i = 0; i < BAKE_KERNEL_COUNT; i++) {
+        if (!bake_gpu_launches(gpu, i))
+            continue;
         own->kernels[i] = cl->api.clCreateKernel(cl->program, bake_kernel_names[i], &code);
         CHECK("clCreateKernel", code);
         /* A kernel with many registers may allow fewer work items than the device. */
@@ -279,16 +281,18 @@ static struct bake_failure opencl_open_context(struct opencl *cl)
     return (struct bake_failure){"clCreateContext", code};
 }
 
-static int opencl_open(struct bake_gpu *gpu, uint32_t number, const struct bake_scene *scene)
+static int opencl_open(struct bake_gpu *gpu, uint32_t number)
 {
     struct opencl *cl = (struct opencl *)gpu;
-    (void)scene;
     if (!bake_opencl_load(&cl->api) || !bake_opencl_device(&cl->api, number, &cl->device))
         return bsq_fail(gpu->ctx, BSQ_ENODEVICE, "opencl:%u: the device is gone", (unsigned)number);
     snprintf(gpu->device_name, sizeof gpu->device_name, "%s", cl->device.name);
     snprintf(gpu->name, sizeof gpu->name, "%s", cl->device.name);
     gpu->shares_memory = cl->device.host_memory;
     gpu->memory_bytes = memory_limit(cl);
+    gpu->lacks = !cl->device.has_double         ? "double precision"
+                 : !cl->device.rounds_correctly ? "correctly rounded division"
+                                                : NULL;
     gpu->buffer_bytes = cl->device.buffer_bytes;
     gpu->array_bytes = gpu->buffer_bytes < ARRAY_MOST ? gpu->buffer_bytes : ARRAY_MOST;
     BSQ_PASS(bake_gpu_fail(gpu, opencl_open_context(cl)));

@@ -58,7 +58,7 @@ struct bake_opencl_device {
     cl_platform_id platform;
     cl_device_id id;
     char name[128];
-    bool is_gpu, host_memory, rounds_correctly;
+    bool is_gpu, host_memory, rounds_correctly, has_double;
     uint64_t memory_bytes, buffer_bytes; /* of the device; limit for one buffer */
     size_t group_sides[2];               /* limits for a work group */
 };

@@ -115,6 +115,7 @@ static void opencl_driver_describe(const struct bake_opencl_api *api, cl_platfor
     out->host_memory = device_number(api, id, CL_DEVICE_HOST_UNIFIED_MEMORY, 4);
     out->rounds_correctly =
         device_number(api, id, CL_DEVICE_SINGLE_FP_CONFIG, 8) & CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT;
+    out->has_double = device_number(api, id, CL_DEVICE_DOUBLE_FP_CONFIG, 8) != 0;
     out->memory_bytes = device_number(api, id, CL_DEVICE_GLOBAL_MEM_SIZE, 8);
     out->buffer_bytes = device_number(api, id, CL_DEVICE_MAX_MEM_ALLOC_SIZE, 8);
     describe_groups(api, out);

@@ -1,9 +1,10 @@
 /* test_exact_leaves.c - a ray through leaves finds the very hit that testing all triangles in
- * double finds, at any scale. */
+ * double finds, at any scale, on the processor and in the functions of devices. */
 #include <stdlib.h>
 
 #include "libbake/exact/exact_leaves.h"
 #include "libbake/exact/exact_line.h"
+#include "libbake/kernel/bk_meet.h"
 #include "tests/unit/libbake/exact/exact_fixture.h"
 #include "tests/unit/test.h"
 
@@ -17,6 +18,7 @@ struct scene {
     struct exact_leaves leaves[CHUNKS];
     struct exact_group group;
     void *memory[CHUNKS], *tree_memory;
+    char *area; /* as devices have it */
 };
 
 /* Strips of slim triangles, so that neighbours share edges, and needles are among them. */
@@ -42,6 +44,18 @@ static void fill_scene(struct scene *scene)
     }
 }
 
+static void fill_area(struct scene *scene)
+{
+    uint64_t at = bake_exact_table_bytes(CHUNKS);
+    scene->area = aligned_alloc(BSQ_ALIGNMENT, at + CHUNKS * bake_exact_leaves_bytes(TRIANGLES));
+    bake_exact_table_set(&scene->group, CHUNKS, scene->area);
+    for (int c = 0; c < CHUNKS; c++) {
+        const uint64_t bytes = bake_exact_leaves_bytes(scene->chunks[c].triangle_count);
+        memcpy(scene->area + at, scene->memory[c], bytes);
+        at += bytes;
+    }
+}
+
 static void build_scene(struct scene *scene, bool sorted)
 {
     struct exact_box boxes[CHUNKS];
@@ -58,6 +72,7 @@ static void build_scene(struct scene *scene, bool sorted)
     scene->tree_memory = aligned_alloc(BSQ_ALIGNMENT, bake_exact_tree_bytes(CHUNKS));
     bake_exact_tree_build(&scene->group.tree, CHUNKS, boxes, scene->tree_memory);
     scene->group.chunks = scene->leaves;
+    fill_area(scene);
 }
 
 static void free_scene(struct scene *scene)
@@ -65,6 +80,7 @@ static void free_scene(struct scene *scene)
     for (int c = 0; c < CHUNKS; c++)
         free(scene->memory[c]);
     free(scene->tree_memory);
+    free(scene->area);
 }
 
 /* Returns a ray from a point near the scan to a corner, a point of an edge, or any other place. */
@@ -94,17 +110,17 @@ static struct bake_ray random_ray(const struct scene *scene)
 static bool trace_all(const struct scene *scene, const struct bake_ray *ray,
                       const struct exact_look_limits *limits, double *t)
 {
-    struct exact_line line;
-    struct exact_shear shear;
+    bk_line line;
+    bk_shear shear;
     bool found = false;
     *t = limits->t_max;
-    if (!exact_line_set(&line, ray->origin, ray->direction))
+    if (!bk_line_set(&line, ray->origin, ray->direction))
         return false;
-    exact_shear_set(&shear, ray->origin, ray->direction);
+    bk_shear_set(&shear, ray->origin, ray->direction);
     for (int c = 0; c < CHUNKS; c++)
         for (uint32_t i = 0; i < scene->chunks[c].triangle_count; i++) {
             const float(*p)[3] = &scene->chunks[c].positions[i];
-            struct exact_crossing crossing;
+            bk_line_hit crossing;
             if (!exact_cross_triangle(&shear, p[0], p[1], p[2], &crossing) ||
                 !(crossing.t >= 0 && crossing.t <= *t) ||
                 (!limits->two_sided && crossing.along == limits->facing_origin))
@@ -115,11 +131,32 @@ static bool trace_all(const struct scene *scene, const struct bake_ray *ray,
     return found;
 }
 
+/* Traces a ray as devices do. */
+static bool meet(const struct scene *scene, const struct bake_ray *ray,
+                 const struct exact_look_limits *limits, double *t)
+{
+    bk_meeting m = {.any = limits->any,
+                    .sides = limits->two_sided       ? 0u
+                             : limits->facing_origin ? (bk_uint)BK_AGAINST
+                                                     : (bk_uint)BK_ALONG};
+    if (!bk_meeting_set(&m, ray->origin, ray->direction, (float)limits->t_max))
+        return false;
+    bk_meet_group(&m, (const bk_float4 *)(const void *)scene->area);
+    *t = m.nearest;
+    return m.found;
+}
+
 static void check_ray(const struct scene *scene, const struct bake_ray *ray,
                       struct exact_look_limits limits, uint32_t *hits)
 {
     struct exact_path path;
     double expected, t;
+    const bool there = trace_all(scene, ray, &limits, &expected);
+    limits.any = true;
+    assert_int_equal(meet(scene, ray, &limits, &t), there);
+    limits.any = false;
+    assert_int_equal(meet(scene, ray, &limits, &t), there);
+    assert_true(!there || t == expected);
     for (enum bsq_simd level = BSQ_SIMD_BASE; level <= bsq_simd_best(); level++) {
         limits.any = false;
         BSQ_SIMD_PICK(level, bake_exact_path_find)(&scene->group, ray->origin, &path);

@@ -1,0 +1,181 @@
+/* areas.c - chunks of triangles in a device's memory, and rays from viewpoints through them.
+ *
+ * A scan may be larger than the device. So its chunks pass through areas in groups: one area is
+ * filled while rays meet what is in the other. The states of rays stay with the host between
+ * groups. */
+#include <stdio.h>
+#include <string.h>
+
+#include "base/context.h"
+#include "libbake/device/gpu/gpu_internal.h"
+
+/* A launch has at most this many viewpoints and, unless one has more, rays: 3 ms on a fast GPU. */
+enum { LOOK_VIEWPOINTS = 1 << 15, LOOK_RAYS = 1 << 20 };
+
+/* ---- areas ---- */
+
+void bake_gpu_release_areas(struct bake_gpu *gpu)
+{
+    if (gpu->area_bytes == 0)
+        return;
+    if (gpu->driver->attach)
+        (void)gpu->driver->attach(gpu);
+    for (uint32_t i = 0; i < BAKE_AREAS; i++) {
+        if (gpu->areas[i])
+            gpu->driver->release(gpu, gpu->areas[i]);
+        gpu->areas[i] = 0;
+    }
+    if (gpu->shares_memory)
+        bsq_release(gpu->ctx, gpu->area_count * gpu->area_bytes);
+    gpu->area_bytes = gpu->area_count = 0;
+}
+
+/* Chooses the number and the size of areas. */
+static void choose_areas(struct bake_gpu *gpu, uint64_t whole, uint64_t least)
+{
+    uint64_t space = gpu->memory_bytes;
+    if (gpu->shares_memory) {
+        const uint64_t share = bsq_memory_share(gpu->ctx, "chunks on the device", 3);
+        space = share > least ? share : least;
+    }
+    gpu->area_count = whole <= space && whole <= gpu->array_bytes ? 1 : space / 2 < least ? 1 : 2;
+    const uint64_t each = space / gpu->area_count, fits = each < whole ? each : whole;
+    gpu->area_bytes = fits < gpu->array_bytes ? fits : gpu->array_bytes;
+}
+
+int bake_gpu_make_areas(struct bake_gpu *gpu, uint64_t whole, uint64_t least, char *why)
+{
+    struct bake_failure failure = BAKE_NO_FAILURE;
+    bake_gpu_release_areas(gpu);
+    choose_areas(gpu, whole, least);
+    if (gpu->shares_memory) {
+        const int status =
+            bsq_reserve(gpu->ctx, "chunks on the device", gpu->area_count * gpu->area_bytes);
+        if (status < 0) {
+            snprintf(why, BAKE_WHY_BYTES, "%s", bsq_error(gpu->ctx));
+            gpu->area_bytes = 0;
+            return status;
+        }
+    }
+    if (gpu->driver->attach)
+        failure = gpu->driver->attach(gpu);
+    for (uint32_t i = 0; i < gpu->area_count && failure.code == 0; i++)
+        failure = gpu->driver->allocate(gpu, gpu->area_bytes, &gpu->areas[i]);
+    return bake_gpu_end_worker(gpu, gpu->streams, failure, why);
+}
+
+/* Sends what is in the host memory of a stream, and waits. */
+static struct bake_failure send_piece(struct bake_gpu *gpu, struct bake_stream *stream,
+                                      uint32_t area, uint64_t at, uint64_t bytes)
+{
+    const struct bake_driver *driver = gpu->driver;
+    pthread_mutex_lock(&gpu->sending);
+    struct bake_failure failure =
+        driver->send(gpu, stream, stream->host[0], bytes, gpu->areas[area], at, BAKE_SAMPLES);
+    if (failure.code == 0)
+        failure = driver->wait(gpu, stream, BAKE_SAMPLES);
+    pthread_mutex_unlock(&gpu->sending);
+    return failure;
+}
+
+static struct bake_failure send_all(struct bake_gpu *gpu, uint32_t area, uint64_t at,
+                                    const char *from, uint64_t bytes, unsigned worker)
+{
+    struct bake_stream *stream = &gpu->streams[worker];
+    BAKE_TRY_CALL(bake_gpu_take_stream(gpu, stream));
+    while (bytes > 0) {
+        const uint64_t piece = bytes < stream->host_bytes ? bytes : stream->host_bytes;
+        memcpy(stream->host[0], from, piece);
+        BAKE_TRY_CALL(send_piece(gpu, stream, area, at, piece));
+        from += piece;
+        at += piece;
+        bytes -= piece;
+    }
+    return BAKE_NO_FAILURE;
+}
+
+int bake_gpu_send(struct bake_gpu *gpu, uint32_t area, uint64_t at, const void *from,
+                  uint64_t bytes, unsigned worker, char *why)
+{
+    struct bake_span span = {.start = bsq_seconds_now()};
+    const struct bake_failure failure = send_all(gpu, area, at, from, bytes, worker);
+    span.end = bsq_seconds_now();
+    pthread_mutex_lock(&gpu->lock);
+    bake_time_spans_add(&gpu->uploads, &span);
+    pthread_mutex_unlock(&gpu->lock);
+    return bake_gpu_end_worker(gpu, &gpu->streams[worker], failure, why);
+}
+
+/* ---- rays ---- */
+
+uint32_t bake_gpu_viewpoints(const struct bk_params *params)
+{
+    const uint32_t rays = bk_ray_count(params), fitting = rays > 0 ? LOOK_RAYS / rays : 0;
+    return fitting < 1 ? 1 : fitting < LOOK_VIEWPOINTS ? fitting : LOOK_VIEWPOINTS;
+}
+
+static uint64_t state_bytes(const struct bk_params *params)
+{
+    return bk_state_words(params) * sizeof(uint64_t) + bk_state_lengths(params) * sizeof(float);
+}
+
+uint64_t bake_gpu_look_bytes(const struct bk_params *params)
+{
+    return bake_gpu_viewpoints(params) * (state_bytes(params) + sizeof(bk_viewpoint));
+}
+
+/* Copies the states of viewpoints from `begin` on to the host memory of a stream, or back. */
+static void copy_states(const struct bake_ray_states *states, uint64_t begin, uint32_t count,
+                        char *host, bool back)
+{
+    const uint64_t words = (uint64_t)count * states->words * sizeof *states->hidden,
+                   lengths = (uint64_t)count * states->lengths * sizeof *states->distances;
+    uint64_t *hidden = states->hidden + begin * states->words;
+    float *distances = states->distances + begin * states->lengths;
+    memcpy(back ? (char *)hidden : host, back ? host : (char *)hidden, words);
+    host += words;
+    memcpy(back ? (char *)distances : host, back ? host : (char *)distances, lengths);
+}
+
+/* Enqueues what a worker's viewpoints need and waits for it. bytes: of their states. */
+static struct bake_failure trace_viewpoints(struct bake_gpu *gpu, struct bake_stream *stream,
+                                            uint32_t area, const struct bk_params *params,
+                                            uint32_t count, uint64_t bytes)
+{
+    const struct bake_driver *driver = gpu->driver;
+    struct bake_launch launch = {
+        .kernel = BAKE_MEET, .width = bk_ray_count(params), .height = count};
+    for (launch.side = 1; launch.side < launch.width && launch.side < 32;)
+        launch.side *= 2;
+    BAKE_LAUNCH_ADD(&launch, gpu->areas[area]);
+    BAKE_LAUNCH_ADD(&launch, *params);
+    BAKE_LAUNCH_ADD(&launch, count);
+    BAKE_LAUNCH_ADD(&launch, stream->texels);
+    BAKE_TRY_CALL(driver->send(gpu, stream, stream->host[0], bytes + count * sizeof(bk_viewpoint),
+                               stream->texels, 0, BAKE_SAMPLES));
+    stream->launches++;
+    BAKE_TRY_CALL(driver->launch(gpu, stream, &launch));
+    BAKE_TRY_CALL(driver->fetch(gpu, stream, bytes));
+    return bake_gpu_receive(gpu, stream);
+}
+
+int bake_gpu_look(struct bake_gpu *gpu, uint32_t area, const struct bk_params *params,
+                  const struct bake_viewpoints *viewpoints, uint64_t begin, uint64_t end,
+                  unsigned worker, const struct bake_ray_states *states, char *why)
+{
+    const uint32_t count = (uint32_t)(end - begin);
+    const uint64_t bytes = count * state_bytes(params);
+    struct bake_stream *stream = &gpu->streams[worker];
+    struct bake_failure failure = bake_gpu_take_stream(gpu, stream);
+    if (failure.code == 0) {
+        bk_viewpoint *points = (bk_viewpoint *)(void *)(stream->host[0] + bytes);
+        copy_states(states, begin, count, stream->host[0], false);
+        for (uint64_t i = begin; i < end; i++, points++)
+            if (!viewpoints->get(viewpoints->arg, i, points))
+                points->side = 0.0f;
+        failure = trace_viewpoints(gpu, stream, area, params, count, bytes);
+    }
+    if (failure.code == 0)
+        copy_states(states, begin, count, stream->host[0], true);
+    return bake_gpu_end_worker(gpu, stream, failure, why);
+}
