@@ -35,8 +35,9 @@ static void choose_areas(struct bake_gpu *gpu, uint64_t whole, uint64_t least)
 {
     uint64_t space = gpu->memory_bytes;
     if (gpu->shares_memory) {
-        const uint64_t share = bsq_memory_share(gpu->ctx, "chunks on the device", 3);
-        space = share > least ? share : least;
+        uint64_t share = bsq_memory_share(gpu->ctx, "chunks on the device", 3);
+        share = share > least ? share : least;
+        space = share < space ? share : space;
     }
     gpu->area_count = whole <= space && whole <= gpu->array_bytes ? 1 : space / 2 < least ? 1 : 2;
     const uint64_t each = space / gpu->area_count, fits = each < whole ? each : whole;
