@@ -1,5 +1,5 @@
 #!/bin/sh
-# Bakes all maps of a grid on the processor and on each device of CUDA and OpenCL of this machine, and
+# Bakes all maps of a grid, and exact ones, on the processor and on each device of CUDA and OpenCL of this machine, and
 # compares them. Maps from CUDA must have the processor's bytes. OpenCL devices may round differently:
 # their maps may differ a little, and the line of each map says whether they do.
 #
@@ -29,6 +29,7 @@ awk 'BEGIN {
 }' >vase.mtl
 ok run bisque-voxelize --resolution 700 materials.obj -o scan.nvdb --no-tris \
     --channels id,roughness,metallic,emission
+ok run bisque-voxelize materials.obj -o scan.tris --channels id,roughness,metallic,emission
 
 # ---- bakes ----
 
@@ -37,14 +38,18 @@ names="ao bent color confidence curvature emission height id mask metallic norma
 # bake DEVICE WAY: all maps, in one of several ways that take other parts of the kernel.
 bake()
 {
+    scan=scan.nvdb
     case $2 in
     usual) options="--size 512x384 --rays ao=16,thickness=16" ;;
     other) options="--size 384 --samples 1 --scan sampling=nearest --two-sided --normal space=object
         --ray-directions mesh --rays ao=8,thickness=8 --ao coarse=none,falloff=linear,spread=100 --distance ao=0.1,thickness=0.2" ;;
     dense) options="--size 96x64 --samples 20 --extrude 0.05 --rays ao=400,thickness=400" ;;
+    exact) scan=scan.tris options="--size 512x384 --rays ao=64,thickness=64" ;;
+    groups) scan=scan.tris options="--size 256x192 --rays ao=64,thickness=64 --ao falloff=linear --distance ao=0.3
+        --threads 2 --gpu-memory 24M" ;;
     esac
     # shellcheck disable=SC2086 # several options
-    ok run bisque-bake --device "$1" --maps all --type float $options scan.nvdb low.obj \
+    ok run bisque-bake --device "$1" --maps all --type float $options $scan low.obj \
         -o "$1.$2.<MAP>.exr" --json
 }
 
@@ -68,7 +73,7 @@ run bisque-bake --list devices
 sed 's/^/# /' "$out" "$err"
 devices=$(sed -En 's/^((cuda|opencl):[0-9]+) .*/\1/p' "$out")
 holds "there is a CUDA device" grep -q '^cuda:0 ' "$out"
-for way in usual other dense; do
+for way in usual other dense exact groups; do
     bake cpu $way
     holds "no map is left out" [ "$(echo cpu.$way.*)" = "$(printf "cpu.$way.%s.exr " $names | sed 's/ $//')" ]
     for device in $devices; do
