@@ -65,7 +65,7 @@ bench-pace: all $(generator)
 # build.
 gpu_bundle := build/gpu
 .PHONY: bench-gpu gpu-bundle
-## bench-gpu: measure bisque-bake on this machine's GPUs, BENCH=small or full (default)
+## bench-gpu: measure bakes on this machine's GPU beside the processor in at most 300 s, BENCH=small or full (default)
 bench-gpu: gpu-bundle
 	@tests/bench/gpu.sh $(if $(filter small,$(BENCH)),small,full)
 
