@@ -46,11 +46,33 @@ static uint64_t find_lines(struct stream_slot *slot, uint64_t have, bool at_file
     return at_file_end || (size == 0 && memchr(slot->bytes, '\0', have)) ? have : size;
 }
 
+/* Cuts a block of a plain file that goes on behind it, and reads no more of it than the end:
+ * workers read blocks at the same time. Leaves its size 0 if no line ends there. */
+static int cut_by_end(struct stream_slot *slot)
+{
+    enum { TAIL = 4096 };
+    struct stream_block *block = &slot->block;
+    const struct fmt_input *input = slot->source->input;
+    const uint64_t most = block->offset + OBJ_BLOCK_BYTES;
+    uint64_t size = TAIL;
+    if (!fmt_input_is_plain(input) || fmt_input_size(input) <= most)
+        return 0;
+    BSQ_PASS(fmt_stream_reserve(slot, TAIL));
+    BSQ_PASS(fmt_input_read(slot->source->input, slot->bytes, TAIL, most - TAIL));
+    /* What is before the tail may be a backslash. */
+    while (size > 2 && !ends_line(slot->bytes, size - 1, TAIL))
+        size--;
+    block->size = size > 2 ? OBJ_BLOCK_BYTES - TAIL + size : 0;
+    block->end = block->offset + block->size;
+    return 0;
+}
+
 int fmt_obj_cut(const struct stream_block *before, struct stream_slot *slot)
 {
     slot->block.first_item = before->end > 0 ? before->first_item + 1 : 0;
     slot->block.offset = before->end;
-    return fmt_stream_cut_text(slot, OBJ_BLOCK_BYTES, find_lines);
+    BSQ_PASS(cut_by_end(slot));
+    return slot->block.size > 0 ? 1 : fmt_stream_cut_text(slot, OBJ_BLOCK_BYTES, find_lines);
 }
 
 static int parse(struct stream_slot *slot)

@@ -27,6 +27,20 @@ for name in scan.obj.gz two.gz scan.obj.zst; do
     ok $vox $name -o packed.nvdb
     same plain.nvdb packed.nvdb
 done
+# Blocks of plain files are cut by their last bytes, those of packed ones where they are unpacked: lines that go on after
+# a backslash, lines longer than the bytes that are looked at, and either end of lines.
+awk 'BEGIN {
+    for (k = 0; k < 100000; k++) printf "v %.5f \\\n %.5f \\\r\n %.5f\n", k % 317 / 317, int(k / 317) / 317, sin(k) / 50
+    for (k = 0; k < 40; k++) { printf "#"; for (i = 0; i < 5000; i++) printf " long"; print "" }
+    for (k = 1; k < 99000; k++) if (k % 317) printf "f %d \\\n%d %d\r\n", k, k + 1, k + 318 }' >lines.obj
+gzip -1 -c lines.obj >lines.obj.gz
+ok $vox lines.obj -o plain.nvdb
+ok $vox lines.obj.gz -o packed.nvdb
+same plain.nvdb packed.nvdb
+ok run bisque-voxelize --parse-only lines.obj
+out_like '^lines.obj: 100,000 vertices, 98,687 faces'
+rm lines.obj lines.obj.gz
+ok $vox scan.obj -o plain.nvdb
 # The content decides, not the name.
 cp scan.obj.gz scan.stl
 $vox scan.stl -o packed.nvdb
