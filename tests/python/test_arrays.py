@@ -1,4 +1,5 @@
 """Arrays are checked at the door: what fits is the same mesh as its plain form, all else is refused by name."""
+import errno
 import types
 
 import bisque
@@ -144,6 +145,13 @@ def test_small_files_are_read_or_refused_at_every_length(tmp_path):
                 assert error.status == 65 and str(path) in error.message, error
                 refused += 1
         assert refused > len(data) / 2
+
+
+def test_a_mesh_that_cannot_be_saved_leaves_no_file(tmp_path):
+    (tmp_path / "a.obj.new").symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left on device: .*a.obj'") as caught:
+        bisque.Mesh(np.eye(3), np.arange(3)[None]).save(tmp_path / "a.obj")
+    assert caught.value.errno == errno.ENOSPC and not list(tmp_path.iterdir())
 
 
 def test_numbers_that_only_python_has_are_refused(tmp_path):

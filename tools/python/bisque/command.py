@@ -9,6 +9,7 @@ import os
 import re
 import signal
 import sys
+import tempfile
 import traceback
 import warnings
 from typing import Any, NoReturn
@@ -226,7 +227,8 @@ def _explain(error: BaseException) -> tuple[int, str]:
         return 71, str(error) or "out of memory"
     if isinstance(error, OSError):
         status = 74 if error.errno in {*FAILED_IO, errno.EBADF} else 73
-        return status, f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        place = error.filename or f"a file in {tempfile.gettempdir()} or beside the output"
+        return status, f"{place}: {error.strerror or error}"
     if isinstance(error, (ValueError, TypeError)) and traceback.extract_tb(error.__traceback__)[-1].line.startswith(
             "raise "):
         return 64, str(error)  # of our own checks

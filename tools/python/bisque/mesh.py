@@ -1,6 +1,7 @@
 """Meshes in memory: what other libraries call a mesh, and small files that hold one."""
 from __future__ import annotations
 
+import contextlib
 import operator
 import os
 import re
@@ -109,9 +110,14 @@ class Mesh:
         line = "f " + " ".join([pattern] * 3) + "\n"
         lines.append(line * len(corners) % tuple(corners.ravel().tolist()))
         temporary = f"{os.fspath(path)}.new"
-        with open(temporary, "w", encoding="utf-8") as file:
-            file.writelines(lines)
-        os.replace(temporary, path)
+        try:
+            with open(temporary, "w", encoding="utf-8") as file:
+                file.writelines(lines)
+            os.replace(temporary, path)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+            raise OSError(error.errno, error.strerror, os.fspath(path)) from None
 
 
 def is_path(thing: Any) -> bool:
