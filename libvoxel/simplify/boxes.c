@@ -120,11 +120,13 @@ int vox_boxes_begin(struct vox_measuring *m, struct vox_measured_box *list, uint
     return 0;
 }
 
-void vox_boxes_end(struct vox_measuring *m)
+int vox_boxes_end(struct vox_measuring *m)
 {
     for (uint32_t t = 0; t < m->mesh->triangle_count && m->boxes.count > 0; t++) {
         const float *corners[3];
         float low[3], high[3];
+        if (t % 4096 == 0)
+            BSQ_PASS(bsq_check(m->ctx));
         vox_closest_corners(&m->tree, t, corners);
         bound_corners(corners, low, high);
         for (uint32_t i = 0; i < m->boxes.count; i++) {
@@ -138,4 +140,5 @@ void vox_boxes_end(struct vox_measuring *m)
         vox_summarize(m, &there->sums, &there->bound, &m->boxes.list[i].from_scan);
         vox_summarize(m, &back->sums, &back->bound, &m->boxes.list[i].from_mesh);
     }
+    return 0;
 }

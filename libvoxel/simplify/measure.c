@@ -415,7 +415,7 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
     BSQ_TRY(vox_resolve_bounds(&m));
     vox_summarize(&m, m.from_scan, &m.scan, scan_to_mesh);
     vox_summarize(&m, m.from_mesh, &m.low, mesh_to_scan);
-    vox_boxes_end(&m);
+    BSQ_TRY(vox_boxes_end(&m));
 done:
     vox_cover_free(ctx, &m.cover);
     vox_closest_free(ctx, &m.tree);
