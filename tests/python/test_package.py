@@ -400,6 +400,17 @@ def test_asset_with_a_page_has_the_same_maps(tmp_path):
     assert shown["rays"] == pytest.approx(plain["rays"])
 
 
+def test_other_sizes_and_maps_start_from_the_uvs(scan, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules["bisque.asset"], "MOST_UNWRAPPED", 32)
+    kept = [tmp_path / "bisque-steps" / name for name in ("scan.tris", "low_0.ply", "mended_0.obj", "0/low.obj")]
+    found = []
+    for size, maps in ((32, "normal"), (64, ["normal", "height"]), (16, "normal")):
+        level, = bisque.asset(scan, tmp_path / "a.glb", triangles=300, size=size, maps=maps, keep=tmp_path)["levels"]
+        found.append([path.stat().st_ino for path in kept])
+        assert level["size"] == size and ("height.png" in level["files"]) == (size == 64)
+    assert found[0] == found[1] and found[1][:3] == found[2][:3] and found[1][3] != found[2][3]
+
+
 def test_levels_of_a_scan_in_memory(scan, tmp_path, monkeypatch):
     monkeypatch.setitem(bisque.PRESETS["museum"], "levels", [(300, 64), (900, 128), (600, 64)])
     monkeypatch.setitem(bisque.PRESETS["museum"], "maps", ("normal", "color"))

@@ -24,7 +24,8 @@ from .core import Error
 from .mesh import Mesh, as_mesh, is_path, parse_texels, read_mesh
 from .steps import FAILED_IO, Folder, Steps, sha256
 
-#: Triangles, texels and maps of each level; rays of a texel for ambient occlusion; images of the GLB file.
+#: Triangles, texels and maps of each level; rays of a texel for ambient occlusion, of which
+#: the filter saves half; images of the GLB file.
 PRESETS: dict[str, dict] = {
     "web": {"levels": [(20_000, 2048)], "maps": ("normal", "color", "ao"), "rays": 32, "images": "jpeg"},
     "game": {"levels": [(10_000, 2048)], "maps": ("normal", "color", "ao", "curvature"),
@@ -35,6 +36,8 @@ PRESETS: dict[str, dict] = {
                 "rays": 64, "images": "png"},
 }
 
+#: UVs of this size, whose padding grows with the map, are those of all larger maps.
+MOST_UNWRAPPED = 2048
 #: A grid with more voxels along a side takes more time than exact rays do.
 MOST_RESOLUTION = 8192
 
@@ -87,7 +90,7 @@ def write_mtl(path: Path, files: dict) -> None:
 def _low_of(steps: Steps, scan: str, given: Any, level: dict, job: dict) -> Mesh:
     """Returns the low-poly mesh of a level with UVs, and writes it as an OBJ file."""
     simple, unwrapped = steps.folder / f"low_{level['name']}.ply", level["obj"]
-    size = level["size"]
+    size = min(level["size"], MOST_UNWRAPPED)
     suffix = f" {level['name']}"
     options = {"size": size, "padding": max(2, size // 512), "library": level["library"]}
     if given is None:
@@ -107,7 +110,7 @@ def _low_of(steps: Steps, scan: str, given: Any, level: dict, job: dict) -> Mesh
 
     def make() -> dict:
         if low.uvs is not None:
-            result, low.report["uv"] = low, uv.check_uvs(low, min(size, 2048))
+            result, low.report["uv"] = low, uv.check_uvs(low, size)
         else:
             result = uv.unwrap(low, seconds=level["seconds"], progress=steps.report, **options_of_uv)
         result.save(unwrapped, unwrapped.with_suffix(".mtl").name)
@@ -130,7 +133,9 @@ def _bake(steps: Steps, scan: str, obj: Path, files: dict, options: dict, job: d
     maps = ",".join(name if name in known else f"transfer:{name}" for name in options["maps"])
     words = ["-o", obj.with_name("<MAP>.png"), "--maps", maps, "--size", options["size"],
              "--samples", options["samples"]]
-    words += ["--rays", f"ao={options['ao_rays']}"] if {"ao", "bent"} & set(options["maps"]) else []
+    filtered = "ao" in options["maps"] and "bent" not in options["maps"]  # which has no filter
+    if {"ao", "bent"} & set(options["maps"]):
+        words += ["--rays", f"ao={options['ao_rays'] // 2},filter=surface" if filtered else f"ao={options['ao_rays']}"]
     words += [*options["material"], *(word for name, path in files.items() for word in (f"--{name}", path))]
     words += ["--memory", core.parse_bytes(job["memory"])] if job["memory"] else []
     words += ["--threads", job["threads"]] if job["threads"] else []
