@@ -240,8 +240,8 @@ deps-farm:
 	    python3 -m venv $(farm_venv) && \
 	    $(farm_venv)/bin/pip install -q openjd-cli==0.8.0 pyyaml; }
 ## check-farm: bake in parts on a Slurm cluster on this machine, and with openjd
-check-farm: tests-build deps-farm
-	@OPENJD=$(farm_venv)/bin/openjd BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
+check-farm: tests-build deps-farm $(venv)/installed
+	@OPENJD=$(farm_venv)/bin/openjd ASSET=$(venv)/bin BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
 	    tests/farm/check_openjd.sh tests/farm/check_slurm.sh \
 	    tests/farm/check_templates.sh
 

@@ -418,6 +418,14 @@ for parts in "--parts 10 --chunk 4" "--parts 2500"; do
     rm scripts.printed first
 done
 rm -r fake scripts.*
+command="bisque-slurm tiles --dry-run" code=0
+"$slurm" tiles --dry-run --parts 3 -- "a scan.obj" -o "the tiles" --size 512 >"$out" 2>"$err" || code=$?
+code 0
+words="'bisque-asset' '--tiles' 'a scan.obj' '-o' 'the tiles' '--size' '512'" plan="'--part' 'plan' "
+[ "$(grep -c '^sbatch ' "$out")" -eq 3 ] && grep -qF "$words $plan" "$out" && grep -qF -- "--part \$part/3 || return" "$out" &&
+    grep -qF "'--array=0-2'" "$out" && grep -qF "'--dependency=afterok:<bisque-plan>'" "$out" && [ "$(grep -cF "$words" "$out")" -eq 3 ] &&
+    ! grep -q -- --merge "$out"
+check "a plan, an array of parts and the tileset" $?
 printf 'a.obj\tl.obj\to_<MAP>.exr\n' >list
 command="bisque-slurm assets --dry-run" code=0
 "$slurm" assets --dry-run list -- --maps normal >"$out" 2>"$err" || code=$?
@@ -439,7 +447,7 @@ check "parts are sorted, voxelized together and baked" $?
 printf 'a.ply\na.obj\n' >twice
 printf 'a.ply\n\nb.ply\n' >gap
 : >empty
-for bad in "" "bake --parts 0 -- a b -o c" "bake --parts 5" "bake --chunk 0 -- a b -o c" "bake --what" assets "render" \
+for bad in "" "bake --parts 0 -- a b -o c" "bake --parts 5" "bake --chunk 0 -- a b -o c" "bake --what" assets "render" "tiles list -- s -o t" "tiles -- s" \
     "parts twice -- l -o o" "parts gap -- l -o o" "parts empty -- l -o o" "parts none -- l -o o" "parts list" "assets none"; do
     command="bisque-slurm $bad" code=0
     # shellcheck disable=SC2086 # $bad is several words
@@ -461,14 +469,14 @@ for line in 'extensions: [TASK_CHUNKING]' '    default: 3' '          type: CHUN
 done
 [ "$(grep -c 'CHUNK\[INT\]' "$out")" -eq 1 ]
 check "parts of scans have chunks, those of bakes have not" $?
-for template in asset parts assets bake; do # without options, it is the template itself
+for template in asset parts assets bake tiles; do # without options, it is the template itself
     "$openjd" $template | cmp -s - "$top/tools/farm/$template.openjd.yaml"
     check "bisque-openjd $template" $?
     "$openjd" $template --gpu --scratch 7 >text
     grep -qxF '        - {name: amount.worker.gpu, min: 1}' text && grep -qxF '        - {name: amount.worker.disk.scratch, min: 7}' text
     check "bisque-openjd $template --gpu --scratch 7" $?
 done
-for bad in "" "asset parts" what "asset --chunk 0" "asset --cpus" "asset --memory 1G" "assets --parts 2" "bake --chunk 2" "asset --parts x" "--what asset"; do
+for bad in "" "asset parts" what "asset --chunk 0" "asset --cpus" "asset --memory 1G" "assets --parts 2" "bake --chunk 2" "tiles --chunk 2" "asset --parts x" "--what asset"; do
     command="bisque-openjd $bad" code=0
     # shellcheck disable=SC2086 # $bad is several words
     "$openjd" $bad >"$out" 2>"$err" || code=$?

@@ -31,7 +31,8 @@ for program in bisque-voxelize bisque-bake bisque-compare; do
     is_there "bin/$program" "share/man/man1/$program.1"
 done
 is_there share/bisque/farm/bisque-slurm share/bisque/farm/asset.openjd.yaml share/bisque/farm/assets.openjd.yaml
-is_there share/bisque/farm/bisque-openjd share/bisque/farm/bisque-image share/bisque/farm/parts.openjd.yaml share/bisque/farm/bake.openjd.yaml
+is_there share/bisque/farm/bisque-openjd share/bisque/farm/bisque-image share/bisque/farm/parts.openjd.yaml share/bisque/farm/bake.openjd.yaml \
+    share/bisque/farm/tiles.openjd.yaml
 is_there share/bisque/farm/deadline/template.yaml share/bisque/report.html share/bisque/report.js
 is_there lib/bisque/bisque-texture lib/bisque/bisque-tiff lib/bisque/bisque-vdb lib/bisque/bisque-devices
 is_there lib/bisque/bisque-gltf lib/bisque/bisque-scene

@@ -1,7 +1,8 @@
 #!/bin/sh
 # check_openjd.sh - the templates for Open Job Description are valid, and openjd runs them: the maps
-# have the bytes of a single run. OPENJD is the command of openjd-cli.
+# have the bytes of a single run. OPENJD is the command of openjd-cli, ASSET the folder of bisque-asset.
 openjd=$(cd "$(dirname "${OPENJD:?is the command of openjd-cli}")" && pwd)/openjd || exit 1
+asset=$(cd "${ASSET:?is the folder of bisque-asset}" && pwd) || exit 1
 . "$(dirname "$0")/../cli/lib.sh"
 . "$top/tests/farm/parts.sh"
 farm=$top/tools/farm
@@ -20,7 +21,7 @@ rises()
     sed -n 's/.*openjd_progress: //p' "$out" | awk '$1 < last { bad = 1 } { last = $1 } END { exit bad || last != 100 }'
 }
 
-for template in asset parts assets bake; do
+for template in asset parts assets bake tiles; do
     command="bisque-openjd $template" code=0
     case $template in parts | assets) chunk="--chunk 3" ;; *) chunk= ;; esac
     "$farm/bisque-openjd" $template $chunk --cpus 2 --memory 700 --scratch 3 --gpu >$template.chunks.yaml 2>"$err" || code=$?
@@ -146,6 +147,19 @@ for template in "$farm/assets.openjd.yaml" assets.chunks.yaml; do
 done
 rises
 check "the progress of a chunk of assets rises to 100" $?
+
+# Tiles in three parts.
+options="--size 64 --triangles 3000 --tile-triangles 300"
+command="bisque-asset --tiles" code=0
+# shellcheck disable=SC2086 # several words
+"$asset/bisque-asset" --tiles scan.obj -o whole $options >"$out" 2>"$err" || code=$?
+code 0
+openjd run "$farm/tiles.openjd.yaml" --step Finish --run-dependencies -p Scan=scan.obj -p OutputDir=tiles -p Parts=3 \
+    -p TilesOptions="$options" -p BinDir="$asset"
+grep -q 'tiles: part 3/3: [1-9]' "$out"
+check "the third part makes tiles" $?
+diff -r --exclude=tiles.json whole tiles
+check "tiles of parts have the bytes of one job" $?
 
 # A session that is cancelled interrupts the program, which leaves no half of a file. A bake has so many
 # rays that the first bake is not done before the cancelation, however fast the machine is and

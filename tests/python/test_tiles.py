@@ -1,4 +1,5 @@
 """3D Tiles of a sphere with waves, whose surface a formula gives: files, errors, borders and pictures."""
+import fcntl
 import hashlib
 import io
 import json
@@ -15,7 +16,7 @@ import referencing
 import trimesh
 from bisque.asset import PUBLISHED
 from bisque.steps import Folder
-from conftest import HEIGHT, RADIUS, command_of, radius_at, run_asset, sphere
+from conftest import HEIGHT, RADIUS, command_of, run_asset, sphere
 from PIL import Image
 
 SCHEMAS = Path(__file__).parent / "schema-3d-tiles"
@@ -106,7 +107,7 @@ def test_files_are_those_of_the_certificate(made):
 
 
 def test_page_has_all_that_it_needs(made, monkeypatch, tmp_path):
-    module = sys.modules["bisque.tiles"]
+    module = sys.modules["bisque.tileset"]
     for name in module.SCRIPTS:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(f"/* {name} */")
@@ -387,6 +388,71 @@ def test_bytes_do_not_depend_on_threads_or_interruptions(made, tmp_path):
     assert not (tmp_path / "out" / "bisque-steps").exists()
 
 
+def test_parts_make_the_same_bytes(made, tmp_path, monkeypatch):
+    folder, certificate, _ = made
+    options = {**OPTIONS, "threads": 1}
+    bisque.sort(coloured(), tmp_path / "scan.tris")
+
+    def run(part, **more):
+        return bisque.tiles(tmp_path / "scan.tris", tmp_path / "out", part=part, **{**options, **more})
+
+    with pytest.raises(bisque.Error, match="there is no plan") as refused:
+        run("1/2")
+    assert refused.value.status == 66 and not (tmp_path / "out").exists()
+    total = len(certificate["tiles"])
+    assert run("plan") == {"part": "plan", "tiles": total, "batches": 3}
+    with pytest.raises(bisque.Error, match="there is no plan of this scan with these options"):
+        run("1/2", triangles=2000)
+    steps = tmp_path / "out" / "bisque-steps"
+    assert run("2/2")["batches"] == 1
+    lock = open(steps / "batch_0_1.lock", "w")
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    with pytest.raises(bisque.Error, match="batch_0_1.json: another bisque-asset is at work on it"):
+        run("1/2")
+    lock.close()
+    done = (steps / "1_1.glb").stat().st_mtime_ns
+    first = run("1/2")
+    assert first["batches"] == 2 and first["tiles"] < total
+    times = {path.name: path.stat().st_mtime_ns for path in steps.glob("*.glb")}
+    assert len(times) == total and times["1_1.glb"] == done
+    assert not (tmp_path / "out" / "tiles.json").exists()
+    monkeypatch.setattr(sys.modules["bisque.core"], "bake", None)  # no more of it
+    run(None)
+    assert contents(tmp_path / "out") == contents(folder) and not steps.exists()
+
+
+def test_levels_are_whole_meshes(tmp_path):
+    points, faces = sphere(60, True)
+    far = np.array([5e5, 0, -2e5])
+    certificate = bisque.tiles((points + far, faces), tmp_path / "out", tile_triangles=300, size=64, levels=3,
+                               maps="normal", up="z", units="cm", geometry="meshopt")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "levels.json", "level_0.glb", "level_1.glb", "level_2.glb"}
+    sizes, errors = [], []
+    for level in range(3):
+        path = tmp_path / "out" / f"level_{level}.glb"
+        tile = certificate["tiles"][f"level_{level}"]
+        glb = sys.modules["bisque.glb"].Glb(path)
+        assert 0.9 * 300 * 4 ** level < tile["triangles"] <= 300 * 4 ** level and tile["skirt_triangles"] == 0
+        image = Image.open(io.BytesIO(glb.view(glb.head["images"][0]["bufferView"])))
+        assert image.size == (64 << level, 64 << level)
+        node, = glb.head["nodes"]
+        corners = glb.primitive(glb.head["meshes"][0]["primitives"][0])[0]["POSITION"]
+        x, y, z, w = node["rotation"]
+        turn = np.array([[1, 0, 0], [0, w * w - x * x, -2 * x * w], [0, 2 * x * w, w * w - x * x]])
+        placed = (corners * node["scale"]) @ turn.T + node["translation"]
+        # z is up and becomes y; centimetres become metres.
+        middle = 0.01 * np.array([far[0], far[2], -far[1]])
+        lengths = np.linalg.norm(placed - middle, axis=1) * 100
+        assert y == z == 0 and np.abs(lengths - RADIUS).max() < 3 * HEIGHT + tile["geometric_error"]
+        sizes.append(path.stat().st_size)
+        errors.append(tile["geometric_error"])
+    assert sizes == sorted(sizes) and errors == sorted(errors, reverse=True)
+    with pytest.raises(bisque.Error, match="which is of no tiles of bisque-asset") as refused:
+        bisque.tiles((points, faces), tmp_path / "out")
+    assert refused.value.status == 73
+
+
 def test_a_second_tileset_replaces_the_first(tmp_path):
     scan = sphere(20, True)
     bisque.tiles(scan, tmp_path / "out", tile_triangles=100, triangles=400, size=32)
@@ -429,6 +495,10 @@ def test_tiles_lie_where_they_are_placed(tmp_path):
     (["--hard-angle", "30"], 64, "--hard-angle: not with --tiles"),
     (["--preset", "game"], 64, "--preset: not with --tiles"),
     (["--report"], 64, "--report: not with --tiles"),
+    (["--levels", "2"], 64, "--levels: not with --tiles"),
+    (["--part", "4/3"], 64, "part: plan, or a number such as 3/16 is needed, not '4/3'"),
+    (["--part", "0/3"], 64, "part: plan, or a number"),
+    (["--part", "1/3"], 66, "out: there is no plan: --part plan makes it"),
 ])
 def test_wrong_options_are_refused(tmp_path, words, code, line):
     bisque.Mesh(*sphere(4, False)).save(tmp_path / "scan.obj")
@@ -442,10 +512,18 @@ def test_places_in_the_west_and_south_are_values(tmp_path):
     assert done.returncode == 66 and "none.obj" in done.stderr
 
 
-def test_options_of_tiles_need_tiles(tmp_path):
+@pytest.mark.parametrize("words, line", [
+    (["--place", "1,2,3"], "--place: only with --tiles\n"),
+    (["--part", "plan"], "--part: only with --tiles and --levels"),
+    (["--levels", "2", "--place", "1,2,3"], "place: levels have none"),
+    (["--levels", "0"], "levels: "),
+    (["--levels", "9", "--triangles", "1000"], "levels: 192 triangles are too few for 9 levels"),
+    (["--levels", "2", "--preset", "game"], "--preset: not with --tiles and --levels"),
+])
+def test_options_of_tiles_need_tiles(tmp_path, words, line):
     bisque.Mesh(*sphere(4, False)).save(tmp_path / "scan.obj")
-    done = run_asset(tmp_path / "scan.obj", "-o", tmp_path / "out.glb", "--place", "1,2,3")
-    assert done.returncode == 64 and "--place: only with --tiles" in done.stderr
+    done = run_asset(tmp_path / "scan.obj", "-o", tmp_path / "out", *words)
+    assert done.returncode == 64 and line in done.stderr and done.stderr.count("\n") == 1
 
 
 def test_a_folder_of_others_is_refused(tmp_path):
@@ -454,7 +532,7 @@ def test_a_folder_of_others_is_refused(tmp_path):
         (tmp_path / name).mkdir()
         (tmp_path / name / name).write_text("{}")
         done = run_asset(tmp_path / "scan.obj", "-o", tmp_path / name, "--tiles")
-        assert done.returncode == 73 and f"{name}, which is not of bisque-asset" in done.stderr
+        assert done.returncode == 73 and f"{name}, which is of no tiles of bisque-asset" in done.stderr
         assert [path.read_text() for path in (tmp_path / name).iterdir()] == ["{}"]
     done = run_asset(tmp_path / "scan.obj", "-o", tmp_path, "--tiles")
     assert done.returncode == 64 and "move it elsewhere" in done.stderr

@@ -97,7 +97,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("-o", "--output", required=True, metavar="FILE.glb",
                         help="the asset, or a .usdz file; its other files are beside it; with --tiles a folder")
     parser.add_argument("--tiles", action="store_true", help="make 3D Tiles: the whole scan, to be streamed")
-    parser.add_argument("--tile-triangles", type=int, default=10_000, metavar="N", help="most triangles of a tile")
+    parser.add_argument("--levels", type=int, metavar="N", help="make N levels of detail, a GLB file each, in a folder")
+    parser.add_argument("--tile-triangles", type=int, default=10_000, metavar="N", help="most triangles of a tile, or "
+                        "those of the coarsest level")
+    parser.add_argument("--part", metavar="K/N", help="of a job on several machines; see bisque-asset(1)")
     parser.add_argument("--place", metavar="LON,LAT,HEIGHT", help="where tiles lie on the earth: degrees, and metres")
     parser.add_argument("--preset", choices=PRESETS, default="web")
     parser.add_argument("--low", metavar="FILE.obj", help="a low-poly mesh to use")
@@ -145,7 +148,9 @@ def _counted(count: int, noun: str) -> str:
 
 def _lines_of(a: argparse.Namespace, certificate: dict) -> list[str]:
     """Returns what was made in words."""
-    if a.tiles:
+    if a.part:
+        return [f"{_printable(a.output)}: part {a.part}: {_counted(certificate['tiles'], 'tile')}"]
+    if _has_levels(a):
         return [f"{_printable(a.output)}: {_counted(len(certificate['tiles']), 'tile')}"] + [
             f"level {i}: {mesh['triangles']} triangles in {_counted(mesh['tiles'], 'tile')}; farthest from the scan "
             f"{mesh['from_scan']['max']:.4g}" for i, mesh in enumerate(certificate["meshes"])]
@@ -174,15 +179,22 @@ def _print(a: argparse.Namespace, certificate: dict) -> None:
 
 
 #: Options that are of tiles only, and of single assets only.
-OF_TILES = ("tile_triangles", "place")
+OF_TILES = ("tile_triangles", "place", "part")
 NOT_OF_TILES = ("preset", "low", "error", "surface", "close_holes", "hard_angle", "winding", "report", "keep")
+
+
+def _has_levels(a: argparse.Namespace) -> bool:
+    return a.tiles or a.levels is not None
 
 
 def _refuse_others(a: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
     """Refuses options that what is made does not have."""
-    for name in NOT_OF_TILES if a.tiles else OF_TILES:
+    if a.tiles and a.levels is not None:
+        raise ValueError("--levels: not with --tiles")
+    for name in NOT_OF_TILES if _has_levels(a) else OF_TILES:
         if getattr(a, name) != parser.get_default(name):
-            raise ValueError(f"--{name.replace('_', '-')}: {'not' if a.tiles else 'only'} with --tiles")
+            raise ValueError(f"--{name.replace('_', '-')}: {'not' if _has_levels(a) else 'only'} with --tiles"
+                             f"{' and --levels' * (name != 'place')}")
 
 
 def _make_tiles(a: argparse.Namespace, screen: _Screen) -> dict:
@@ -192,8 +204,8 @@ def _make_tiles(a: argparse.Namespace, screen: _Screen) -> dict:
     return tiles(a.scan if len(a.scan) > 1 else a.scan[0], a.output, tile_triangles=a.tile_triangles,
                  triangles=a.triangles, samples=a.samples, library=a.unwrap, unwrap_seconds=a.unwrap_seconds,
                  min_component=a.min_component, min_triangles=a.min_triangles, up=a.up, units=a.units, scale=a.scale,
-                 geometry=a.geometry, texture=a.texture, place=a.place.split(",") if a.place else None, memory=a.memory,
-                 threads=a.threads, progress=screen.progress, **more)
+                 place=a.place.split(",") if a.place else None, geometry=a.geometry, texture=a.texture, levels=a.levels,
+                 part=a.part, memory=a.memory, threads=a.threads, progress=screen.progress, **more)
 
 
 def _make(arguments: list[str], screen: _Screen) -> None:
@@ -207,7 +219,7 @@ def _make(arguments: list[str], screen: _Screen) -> None:
     screen.kind = a.progress
     if a.progress == "auto":
         screen.kind = "bar" if sys.stderr and sys.stderr.isatty() else "none"
-    certificate = _make_tiles(a, screen) if a.tiles else asset(
+    certificate = _make_tiles(a, screen) if _has_levels(a) else asset(
         a.scan if len(a.scan) > 1 else a.scan[0], a.output, low=a.low, preset=a.preset,
         triangles=a.triangles, error=a.error, size=a.size, maps=a.maps.split(",") if a.maps else None,
         samples=a.samples, surface=a.surface, library=a.unwrap, unwrap_seconds=a.unwrap_seconds,

@@ -5,6 +5,7 @@ note names every file that the step read, as the libraries and programs tell it,
 Files of the private folder, where nobody else writes, are known by the times that the system keeps."""
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import hashlib
@@ -14,7 +15,7 @@ import shutil
 import time
 import warnings
 from pathlib import Path
-from typing import Any, Callable
+from typing import Any, Callable, Iterator
 
 from . import core
 from .core import Error
@@ -65,8 +66,10 @@ class Folder:
 
     NAME, MARKER = "bisque-steps", "made-by-bisque-asset"
 
-    def __init__(self, parent: Path):
+    def __init__(self, parent: Path, shared: bool = False):
+        """shared: other processes may use the folder, too, if they share it."""
         self.parent, self.path = parent, Path(os.path.abspath(parent)) / self.NAME
+        self.kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
         self.new = not parent.exists()
         try:
             parent.mkdir(parents=True, exist_ok=True)
@@ -86,7 +89,7 @@ class Folder:
             except FileNotFoundError:
                 continue  # another process removed the folder
             try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(lock, self.kind | fcntl.LOCK_NB)
             except BlockingIOError:
                 os.close(lock)
                 raise Error(73, f"{self.path}: another bisque-asset is at work here") from None
@@ -133,7 +136,9 @@ class _Heard:
 class Steps:
     """Runs steps, or takes what an earlier run left."""
 
-    def __init__(self, folder: Folder, progress: core.Progress | None, levels: int):
+    def __init__(self, folder: Folder, progress: core.Progress | None, levels: int, fixed: bool = False):
+        """fixed: steps must be known, until that is changed."""
+        self.fixed = fixed
         self.folder, self.lock, self.progress = folder.path, folder.lock, progress
         self.note = self.folder / "steps.json"
         self.known = self._read_note()
@@ -157,6 +162,24 @@ class Steps:
         temporary = self.note.with_suffix(".new")
         temporary.write_text(hashlib.sha256(text.encode()).hexdigest() + "\n" + text)
         os.replace(temporary, self.note)
+
+    @contextlib.contextmanager
+    def apart(self, name: str) -> Iterator[None]:
+        """Keeps what is noted meanwhile in a file of its own, which only one process has at a time. Raises Error."""
+        before = self.note, self.known
+        self.note = self.folder / f"{name}.json"
+        lock = os.open(self.note.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        try:
+            with contextlib.suppress(OSError):  # a file system without locks
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise Error(73, f"{self.note}: another bisque-asset is at work on it") from None
+            self.known = self._read_note()
+            yield
+        finally:
+            self.note, self.known = before
+            os.close(lock)
 
     def report(self, stage: str, done: int, total: int, unit: str) -> None:
         """Turns the progress of a stage into that of the whole, in thousandths. The stages of a step
@@ -217,6 +240,9 @@ class Steps:
         known = self.known.get(name)
         if not (known and known["key"] == key and known["outputs"] == [identity(o) for o in outputs] and
                 all(self.content(path) == content for path, content in known["read"].items())):
+            if self.fixed:
+                raise Error(66, f"{self.folder.parent}: there is no plan of this scan with these options: --part plan "
+                            "makes it")
             known = self.known[name] = {"key": key, **self._work(name, paths, outputs, work)}
             self._write_note()
         else:

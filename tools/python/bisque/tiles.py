@@ -8,9 +8,11 @@ import contextvars
 import hashlib
 import json
 import os
+import re
 import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Callable, Iterator
@@ -23,16 +25,14 @@ from .core import Error
 from .cut import Tile, add_skirt, divide, read_level
 from .glb import Glb, Writer, write_plain
 from .mesh import Mesh, check_triangles, parse_amount, parse_texels
-from .place import check_options, matrix_of, unit_of
+from .place import check_options, place_glb, unit_of
 from .steps import WEIGHTS, Folder, Steps
+from .tileset import check_place, make_page, tileset
 
 #: A leaf with as many triangles as a tile may have stands for that many triangles of the scan.
 SCAN_OF_LEAF = 1_000_000
-#: The certificate.
-PAPER = "tiles.json"
-#: Where Debian's package libjs-three is installed, and its parts that the page needs.
-THREE = Path("/usr/share/javascript/three")
-SCRIPTS = ("build/three.min.js", "examples/js/controls/OrbitControls.js", "examples/js/loaders/GLTFLoader.js")
+#: The certificates of tiles and of levels.
+PAPERS = ("tiles.json", "levels.json")
 #: Tiles whose maps are baked in one sweep over the scan.
 BATCH = 64
 #: Columns of rows of vertices.
@@ -45,15 +45,20 @@ FACTOR = 4
 
 # ---- steps ----
 
-def level_targets(scan_triangles: int, tile_triangles: int, finest: int | str | None) -> list[int]:
-    """Returns the triangles of each level, falling, until one tile holds them. finest: those of the first one, or a
-    percentage of the scan's, or None."""
-    count = finest or max(tile_triangles, scan_triangles * tile_triangles // SCAN_OF_LEAF)
+def level_targets(scan_triangles: int, tile_triangles: int, finest: int | str | None,
+                  levels: int | None = None) -> list[int]:
+    """Returns the triangles of each level, falling, until one tile holds them, or as many as there are levels.
+    finest: those of the first one, or a percentage of the scan's, or None."""
+    usual = scan_triangles * tile_triangles // SCAN_OF_LEAF if levels is None else (
+        tile_triangles * FACTOR ** (levels - 1))
+    count = finest or max(tile_triangles, usual)
     if isinstance(count, str):
         count = max(4, round(parse_amount("triangles", count)[0] / 100 * scan_triangles))
     targets = [min(count, max(scan_triangles, 4))]
-    while targets[-1] > tile_triangles:
+    while targets[-1] > tile_triangles if levels is None else len(targets) < levels:
         targets.append(-(-targets[-1] // FACTOR))
+    if targets[-1] < 4:
+        raise ValueError(f"levels: {targets[0]} triangles are too few for {levels} levels")
     return targets
 
 
@@ -79,7 +84,7 @@ def _each(steps: Steps, stage: str, work: Callable[[int], Any], count: int, thre
     return results
 
 
-def _finish_tile(tile: Tile, baked: Glb, number: int, width: float, path: Path, packing: dict, memory: Any) -> dict:
+def _finish_tile(tile: Tile, baked: Glb, number: int, width: float, path: Path, options: dict, memory: Any) -> dict:
     """Writes the GLB file of a tile, primitive `number` of a baked one. Returns what is known of it."""
     root = baked.head
     primitive = root["meshes"][0]["primitives"][number]
@@ -97,6 +102,9 @@ def _finish_tile(tile: Tile, baked: Glb, number: int, width: float, path: Path, 
     material["name"] = tile.name
     out = Writer({"asset": {"version": "2.0", "generator": f"Bisque {core.version()}"}, "scene": 0,
                   "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "materials": [material]})
+    packing, placed = {key: options[key] for key in PLAIN}, options["placed"]
+    if placed:
+        out.head["nodes"][0]["translation"] = placed["origin"]
     shape = write_plain(out, {name: rows[:, first:end] for name, first, end in COLUMNS}, faces)
     out.head["meshes"] = [{"primitives": [{**shape, "mode": 4, "material": 0}]}]
     if images:
@@ -112,6 +120,10 @@ def _finish_tile(tile: Tile, baked: Glb, number: int, width: float, path: Path, 
             found["packed"] = glb.pack(Path(folder) / path.name, path, Path(folder), threads=1, memory=memory,
                                        **packing)
     points = glb.surface(Glb(path)).vertices
+    if placed and (placed["up"], placed["unit"]) != ("y", 1):
+        whole = path.with_suffix(".placed")
+        place_glb(path, whole, placed["up"], placed["unit"], False)
+        os.replace(whole, path)
     return {**found, "low": points.min(axis=0).tolist(), "high": points.max(axis=0).tolist()}
 
 
@@ -123,9 +135,10 @@ def _digest(tiles: list[Tile]) -> str:
     return digest.hexdigest()
 
 
-def _make_tree(steps: Steps, chunks: str, targets: list[int], limit: int, options: dict, origin: np.ndarray,
-               job: dict) -> Tile:
-    """Makes the levels, and the tree of tiles with their names."""
+def _make_tree(steps: Steps, chunks: str, targets: list[int], options: dict, origin: np.ndarray, job: dict) -> Tile:
+    """Makes the levels, and the tree of tiles with their names. Instead of tiles, each level may be one."""
+    divided = options["levels"] is None
+    limit = options["tile_triangles"] if divided else targets[-1]
     paths = [steps.folder / f"level_{count}.ply" for count in targets]
     options = {"triangles": targets, **{key: options[key] for key in ("min_component", "min_triangles")}}
 
@@ -138,11 +151,11 @@ def _make_tree(steps: Steps, chunks: str, targets: list[int], limit: int, option
         return report
 
     steps.run("simplify", [chunks], options, paths, make)
-    root = divide([read_level(path, origin) for path in reversed(paths)], limit)
+    root = divide([read_level(path, origin) for path in reversed(paths)], limit if divided else targets[0])
     counts: dict[int, int] = {}
     for tile in root.all():
         number = counts[tile.level] = counts.get(tile.level, 0) + 1
-        tile.name = f"{tile.level}_{number}"
+        tile.name = f"{tile.level}_{number}" if divided else f"level_{tile.level}"
     return root
 
 
@@ -217,9 +230,8 @@ def _bake(steps: Steps, name: str, chunks: str, tiles: list[Tile], obj: Path, wi
                   arrays=False, as_is=True, output_path=str(obj.with_name("<MATERIAL>_<MAP>.png")),
                   progress=steps.report, **job)
         baked = Glb(whole)
-        packing = {key: options[key] for key in PLAIN}
         found = _each(steps, "packing", lambda i: _finish_tile(tiles[i], baked, i, widths[tiles[i].name], files[i],
-                                                               packing, job["memory"]), len(tiles), job["threads"])
+                                                               options, job["memory"]), len(tiles), job["threads"])
         whole.unlink()
         return found
 
@@ -237,9 +249,10 @@ def _make_tiles(steps: Steps, chunks: str, tiles: list[Tile], widths: dict[str, 
     """Makes the GLB files of a batch of tiles. Returns what is known of each, by its name."""
     name = f"{tiles[0].name}-{tiles[-1].name}"
     obj = steps.folder / f"batch_{name}.obj"
-    unwrapping = {"size": level["size"], "padding": max(2, level["size"] // 512), "library": level["library"]}
+    size = level["size"] << tiles[0].level if level["placed"] else level["size"]
+    unwrapping = {"size": size, "padding": max(2, size // 512), "library": level["library"]}
     unwrapped = _unwrap(steps, name, tiles, obj, unwrapping, level["seconds"], origin, parts, job)
-    baking = {key: level[key] for key in ("maps", "size", "samples", *PLAIN)}
+    baking = {**{key: level[key] for key in ("maps", "samples", "placed", *PLAIN)}, "size": size}
     if level["geometry"] == "draco":
         baking["version"] = metadata.version("DracoPy")
     baked = _bake(steps, name, chunks, tiles, obj, widths, baking, parts, job)
@@ -249,96 +262,24 @@ def _make_tiles(steps: Steps, chunks: str, tiles: list[Tile], widths: dict[str, 
             for tile, about, uvs in zip(tiles, baked, unwrapped)}
 
 
-# ---- the tileset ----
-
-#: Content is y-up, as glTF says; tiles are z-up.
-Z_UP = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], float)
-#: Of the ellipsoid WGS 84, in metres: half of its long axis, and the square of its eccentricity.
-LONG_AXIS, ECCENTRICITY = 6378137.0, 6.69437999014e-3
-
-
-def place_matrix(longitude: float, latitude: float, height: float) -> np.ndarray:
-    """Returns the matrix from east, north and up, in metres, to the earth's axes (EPSG:4978), for a place in degrees
-    and metres above the ellipsoid."""
-    lon, lat = np.radians([longitude, latitude])
-    east = [-np.sin(lon), np.cos(lon), 0]
-    north = [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)]
-    up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
-    radius = LONG_AXIS / np.sqrt(1 - ECCENTRICITY * np.sin(lat) ** 2)
-    matrix = np.eye(4)
-    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = east, north, up
-    matrix[:3, 3] = radius * up * [1, 1, 1 - ECCENTRICITY] + height * up
-    return matrix
-
-
-def _node(tile: Tile, known: dict[str, dict]) -> tuple[dict, np.ndarray, np.ndarray]:
-    """Returns a tile as tileset.json describes it, and the corners of its box, in the content's axes."""
-    children = [_node(child, known) for child in tile.children]
-    low = np.min([known[tile.name]["low"], *(child[1] for child in children)], axis=0)
-    high = np.max([known[tile.name]["high"], *(child[2] for child in children)], axis=0)
-    middle, half = Z_UP @ ((low + high) / 2), np.abs(Z_UP @ ((high - low) / 2))
-    node = {"boundingVolume": {"box": [*middle.tolist(), half[0], 0, 0, 0, half[1], 0, 0, 0, half[2]]},
-            "geometricError": tile.error, "content": {"uri": known[tile.name]["file"]}}
-    if children:
-        node["children"] = [child[0] for child in children]
-    return node, low, high
-
-
-def tileset(root: Tile, known: dict[str, dict], origin: np.ndarray, options: dict) -> dict:
-    """Returns tileset.json. Without content, the error is the size of the scan, in metres."""
-    node, low, high = _node(root, known)
-    node["refine"] = "REPLACE"
-    matrix = np.eye(4) if options["place"] is None else place_matrix(*options["place"])
-    unit = unit_of(options["units"], options["scale"])
-    turn = Z_UP @ matrix_of(options["up"], unit)
-    matrix[:3, 3] += matrix[:3, :3] @ turn @ origin
-    matrix[:3, :3] = matrix[:3, :3] @ turn @ Z_UP.T
-    if not (matrix == np.eye(4)).all():
-        node["transform"] = matrix.T.ravel().tolist()
-    size = float(np.linalg.norm(np.subtract(high, low)))
-    return {"asset": {"version": "1.1", "extras": {"generator": f"Bisque {core.version()}", "options": options}},
-            "geometricError": unit * max(size, 2 * root.error), "root": node}
-
-
-def make_page(path: Path) -> bool:
-    """Writes a page that shows the tileset beside it. Returns False if libjs-three is not installed."""
-    if not all((THREE / name).is_file() for name in SCRIPTS):
-        return False
-    scripts = "".join(f"<script>{(THREE / name).read_text('utf-8')}</script>\n" for name in SCRIPTS)
-    frame = (Path(__file__).parent / "viewer.html").read_text("utf-8")
-    path.write_text(frame.replace("<!--scripts-->\n", scripts), "utf-8")
-    return True
-
-
 # ---- all of it ----
 
-def _check_folder(output: Path) -> None:
-    """Refuses a folder that has files of others. Nobody else may publish there meanwhile. Raises Error."""
-    found = {name for name, _ in older_files(output, output / "x", output / Folder.NAME / PUBLISHED, PAPER)}
-    own = {Folder.NAME} | ({PAPER, *found} if found else set())
+def _check_folder(output: Path, paper: str) -> None:
+    """Refuses a folder that has files of others than those of its certificate. Nobody else may publish there meanwhile.
+    Raises Error."""
+    found = {name for name, _ in older_files(output, output / "x", output / Folder.NAME / PUBLISHED, paper)}
+    own = {Folder.NAME} | ({paper, *found} if found else set())
     for name in sorted(os.listdir(output)):
         if name not in own:
-            raise Error(73, f"{output}: this folder has {name}, which is not of bisque-asset: choose a new one")
-
-
-def check_place(place: Any) -> tuple[float, float, float] | None:
-    """Returns longitude, latitude and height as numbers. Raises ValueError."""
-    if place is None:
-        return None
-    try:
-        lon, lat, height = (float(value) for value in place)
-    except (TypeError, ValueError):
-        raise ValueError(f"place: longitude, latitude and height are needed, not {place!r}") from None
-    if not (abs(lon) <= 180 and abs(lat) <= 90 and abs(height) < 1e7):
-        raise ValueError(f"place: {lon:g},{lat:g},{height:g} is no place on the earth, in degrees and metres")
-    return lon, lat, height
+            raise Error(73, f"{output}: this folder has {name}, which is of no {paper[:-5]} of bisque-asset: choose a "
+                        "new one")
 
 
 def tiles(scan: Any, output: str | os.PathLike, *, tile_triangles: int = 10_000, triangles: int | str | None = None,
           size: int | str = 1024, maps: Any = ("normal", "color"), samples: int = 2, library: str = uv.USUAL,
           unwrap_seconds: float = 300, min_component: float | str = 0, min_triangles: int = 0, texture: Any = None,
           up: str | None = None, units: str | None = None, scale: float | None = None, place: Any = None,
-          images: str = "jpeg", geometry: str = "none",
+          images: str = "jpeg", geometry: str = "none", levels: int | None = None, part: str | None = None,
           memory: int | str | None = None, threads: int = 0, progress: core.Progress | None = None) -> dict:
     """Makes 3D Tiles 1.1 of a scan in a folder: tileset.json, a GLB file for each tile, and the certificate,
     tiles.json. The folder must not hold other files.
@@ -347,10 +288,15 @@ def tiles(scan: Any, output: str | os.PathLike, *, tile_triangles: int = 10_000,
     without it, a tile of it stands for about a million of the scan's. size: texels of a side of each tile's maps. up,
     units, scale: as of asset(). place: longitude and latitude in degrees and height in metres, where zero of the scan's
     coordinates lies; without it, that is zero of the tileset's. images, geometry: of the GLB files, as of pack().
-    Interrupted jobs go on. Returns the certificate. Raises Error, ValueError."""
+    levels: makes that many levels instead, each one GLB file with all of the scan: level_0.glb with tile_triangles and
+    maps of `size`, and each finer one with four times the triangles and texels; the certificate is levels.json.
+    part: of a job on several machines: "plan" makes all that comes before tiles, then "1/16" to "16/16" make tiles, and
+    a call without it makes what is left and the rest.
+    Interrupted jobs go on. Returns the certificate, or of a part what it made. Raises Error, ValueError."""
     output, size = Path(output), parse_texels(size)
     for name, value, least, most in (("tile_triangles", tile_triangles, 100, 2 ** 31), ("samples", samples, 1, 2 ** 16),
-                                     ("min_triangles", min_triangles, 0, 2 ** 63)):
+                                     ("min_triangles", min_triangles, 0, 2 ** 63),
+                                     ("levels", 1 if levels is None else levels, 1, 24)):
         core.check_number(name, value, least, most)
     triangles = None if triangles is None else check_triangles(triangles, 4)
     min_component = parse_amount("min_component", str(min_component).removesuffix("%"))[0]
@@ -363,28 +309,35 @@ def tiles(scan: Any, output: str | os.PathLike, *, tile_triangles: int = 10_000,
     maps = list(dict.fromkeys((maps,) if isinstance(maps, str) else maps))
     if not set(maps) <= {"normal", "color"} or not maps:
         raise ValueError(f"maps: tiles have normal and color, not {','.join(maps)}")
-    place = check_place(place)
+    place, share = check_place(place), _parse_part(part)
+    if place and levels:
+        raise ValueError("place: levels have none")
     paths = [] if core._is_memory(scan) else core._paths(scan)
     for path in [*paths, *([os.fsdecode(texture)] if texture else [])]:
         if output.resolve() in Path(path).resolve().parents:
             raise ValueError(f"{path}: the files in {output} are replaced; move it elsewhere")
     if output.exists() and not output.is_dir():
         raise Error(73, f"{output}: this is no folder")
+    if share and not (output / Folder.NAME / "steps.json").exists():
+        raise Error(66, f"{output}: there is no plan: --part plan makes it")
     job = {"memory": core.parse_bytes(memory), "threads": core.check_number("threads", threads, 0, 65536)}
     level = {"size": size, "maps": maps, "samples": samples, "library": library, "seconds": unwrap_seconds, **packing}
     options = {"tile_triangles": tile_triangles, "triangles": triangles, "size": size, "maps": maps,
                "samples": samples, "library": library, "min_component": min_component, "min_triangles": min_triangles,
-               "up": up, "units": units, "scale": scale, "place": place, **packing}
-    private, done = Folder(output), False
+               "up": up, "units": units, "scale": scale, "place": place, "levels": levels, **packing}
+    private, done = Folder(output, share is not None), False
     try:
-        _check_folder(output)
-        steps = Steps(private, progress, 1)
+        paper = PAPERS[levels is not None]
+        _check_folder(output, paper)
+        steps = Steps(private, progress, 1, share is not None)
         steps.total -= WEIGHTS["voxelize"]
         chunks, about = sorted_scan(steps, scan, paths, texture, job)
-        certificate = _run(steps, chunks, about, options, level, job)
+        certificate = _run(steps, chunks, about, options, level, part, share, job)
+        if part:
+            return certificate
         certificate["scan"] = [{"path": path, "bytes": os.path.getsize(path), "sha256": steps.hold(path)}
                                for path in paths] or "arrays in memory"
-        publish(certificate, output, output / "x", private.path / PUBLISHED, steps, True, PAPER)
+        publish(certificate, output, output / "x", private.path / PUBLISHED, steps, True, paper)
         done = True
         return certificate
     finally:
@@ -392,8 +345,51 @@ def tiles(scan: Any, output: str | os.PathLike, *, tile_triangles: int = 10_000,
         private.close(not needed)
 
 
-def _run(steps: Steps, chunks: str, about: dict, options: dict, level: dict, job: dict) -> dict:
-    """Makes all files of the tileset in the private folder. Returns the certificate, in which "files" are paths."""
+def _parse_part(part: str | None) -> tuple[int, int] | None:
+    """Returns the number of a part, from 1 on, and how many there are; None without, and of the plan. Raises
+    ValueError."""
+    match = re.fullmatch(r"([1-9]\d{0,5})/([1-9]\d{0,5})", part or "")
+    if part in (None, "plan"):
+        return None
+    if not match or int(match[1]) > int(match[2]):
+        raise ValueError(f"part: plan, or a number such as 3/16 is needed, not {part!r}")
+    return int(match[1]), int(match[2])
+
+
+@dataclass
+class _Plan:
+    """What is known before maps are made."""
+    root: Tile
+    meshes: list[dict]  # of each level, what the certificate says
+    batches: list[list[Tile]]
+    least: float  # by which errors of parents are larger
+
+    def set_errors(self, known: dict[str, dict]) -> None:
+        """Adds to errors what packing moved, and sets them."""
+        for tile in self.root.all():
+            tile.error += known[tile.name].get("packed", {}).get("geometry", {}).get("distance", 0)
+        _raise_errors(self.root, self.least)
+        for tile in self.root.all():
+            known[tile.name]["geometric_error"] = tile.error
+
+
+def _plan(steps: Steps, chunks: str, about: dict, options: dict, origin: np.ndarray, job: dict) -> _Plan:
+    """Makes the levels and divides them into tiles, and measures them."""
+    targets = level_targets(about["triangles"], options["tile_triangles"], options["triangles"], options["levels"])
+    root = _make_tree(steps, chunks, targets, options, origin, job)
+    levels = [[tile for tile in root.all() if tile.level == i] for i in range(len(targets))]
+    measured = [_measure(steps, chunks, some, origin, len(levels), job) if some else {} for some in levels]
+    least = 1e-9 * float(np.linalg.norm(np.subtract(about["box"]["max"], about["box"]["min"])))
+    _raise_errors(root, least)
+    return _Plan(root, [{"target": target, "triangles": sum(len(tile.part.faces) for tile in some), "tiles": len(some),
+                         **distances} for target, some, distances in zip(reversed(targets), levels, measured)],
+                 [some[i:i + BATCH] for some in levels for i in range(0, len(some), BATCH)], least)
+
+
+def _run(steps: Steps, chunks: str, about: dict, options: dict, level: dict, part: str | None,
+         share: tuple[int, int] | None, job: dict) -> dict:
+    """Makes all files in the private folder, or those of a part. Returns the certificate, in which "files" are paths,
+    or what the part made."""
     low, high = np.array(about["box"]["min"]), np.array(about["box"]["max"])
     # Far from zero, single precision would lose detail.
     origin = np.round((low + high) / 2) if np.abs([low, high]).max() > 64 * (high - low).max() else np.zeros(3)
@@ -401,32 +397,30 @@ def _run(steps: Steps, chunks: str, about: dict, options: dict, level: dict, job
         level = {**level, "maps": [name for name in level["maps"] if name != "color"]}
         if not level["maps"]:
             raise Error(65, "the scan has no colour, and no other map is asked for")
-    targets = level_targets(about["triangles"], options["tile_triangles"], options["triangles"])
-    root = _make_tree(steps, chunks, targets, options["tile_triangles"], options, origin, job)
-    levels = [[tile for tile in root.all() if tile.level == i] for i in range(len(targets))]
-    measured = [_measure(steps, chunks, some, origin, len(levels), job) if some else {} for some in levels]
-    least = 1e-9 * float(np.linalg.norm(high - low))
-    _raise_errors(root, least)
-    widths = dict(_widest_skirts(root))
-    batches = [some[i:i + BATCH] for some in levels for i in range(0, len(some), BATCH)]
-    known: dict[str, dict] = {}
+    level["placed"] = None if options["levels"] is None else {
+        "up": options["up"] or "y", "unit": unit_of(options["units"], options["scale"]), "origin": origin.tolist()}
+    plan = _plan(steps, chunks, about, options, origin, job)
+    if part == "plan":
+        return {"part": part, "tiles": sum(map(len, plan.batches)), "batches": len(plan.batches)}
+    number, count = share or (1, 1)
+    batches, widths, known = plan.batches[number - 1::count], dict(_widest_skirts(plan.root)), {}
+    steps.fixed = False
     for batch in batches:
-        known.update(_make_tiles(steps, chunks, batch, widths, level, origin, len(batches), job))
-    for tile in root.all():
-        tile.error += known[tile.name].get("packed", {}).get("geometry", {}).get("distance", 0)
-    _raise_errors(root, least)
-    for tile in root.all():
-        known[tile.name]["geometric_error"] = tile.error
-    plan = steps.folder / "tileset.json"
-    plan.write_text(json.dumps(tileset(root, known, origin, options), indent=1) + "\n")
+        with steps.apart(f"batch_{batch[0].name}"):
+            known.update(_make_tiles(steps, chunks, batch, widths, level, origin, len(batches), job))
+    if part:
+        return {"part": part, "tiles": len(known), "batches": len(batches)}
+    plan.set_errors(known)
     files = {tile["file"]: steps.folder / tile["file"] for tile in known.values()}
-    made, page = steps.folder.parent, steps.folder / "index.html"
-    others = {"tileset.json": plan, **({"index.html": page} if make_page(page) else {})}
+    if options["levels"] is None:
+        files["tileset.json"] = steps.folder / "tileset.json"
+        files["tileset.json"].write_text(json.dumps(tileset(plan.root, known, origin, options), indent=1) + "\n")
+        if make_page(steps.folder / "index.html"):
+            files["index.html"] = steps.folder / "index.html"
+    made = steps.folder.parent
+    told = [line for lines in steps.warnings.values() for line in lines]
     return {"generator": f"Bisque {core.version()}", "created": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-            "scan_triangles": about["triangles"], "lost": lost_of(about), "warnings": steps.warnings_of(None),
-            "options": options, "versions": versions(options["library"]),
-            "meshes": [{"target": target, "triangles": sum(len(tile.part.faces) for tile in some), "tiles": len(some),
-                        **distances} for target, some, distances in zip(reversed(targets), levels, measured)],
-            "tiles": known, "seconds": steps.seconds,
-            "levels": [{"name": "tiles", "files": {made / name: path for name, path in
-                                                   {**files, **others}.items()}}]}
+            "scan_triangles": about["triangles"], "lost": lost_of(about), "warnings": list(dict.fromkeys(told)),
+            "options": options, "versions": versions(options["library"]), "meshes": plan.meshes, "tiles": known,
+            "seconds": steps.seconds,
+            "levels": [{"name": "tiles", "files": {made / name: path for name, path in files.items()}}]}
