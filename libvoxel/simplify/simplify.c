@@ -11,10 +11,12 @@
 #include "libvoxel/temp_tris.h"
 
 /* Triangles in memory for the last collapse: enough that what comes before it does not show, see
- * docs/decisions. For an error, as many as its mesh may need. */
+ * docs/decisions; of large meshes fewer, for memory. For an error, as many as its mesh may need. */
 enum {
     LAST_FACTOR = 6,
+    LAST_FACTOR_LARGE = 4,
     LAST_TRIANGLES = 200000,
+    LAST_TRIANGLES_LARGE = 4000000,
     ERROR_TRIANGLES = 1500000,
     ERROR_STEP = 4,
     ERROR_ROUNDS = 16
@@ -319,9 +321,14 @@ static int reduce(struct simplifying *s)
 {
     const struct vox_simplify_options *options = s->options;
     const double start = bsq_seconds_now();
-    uint64_t last = options->target_count > 0 ? LAST_TRIANGLES : ERROR_TRIANGLES;
-    if (options->target_count > 0 && options->targets[0] > last / LAST_FACTOR)
-        last = options->targets[0] < UINT32_MAX ? LAST_FACTOR * options->targets[0] : UINT32_MAX;
+    uint64_t last = ERROR_TRIANGLES;
+    if (options->target_count > 0) {
+        const uint64_t target = options->targets[0] < UINT32_MAX ? options->targets[0] : UINT32_MAX;
+        last = LAST_FACTOR * target < LAST_TRIANGLES_LARGE ? LAST_FACTOR * target
+                                                           : LAST_TRIANGLES_LARGE;
+        last = last < LAST_TRIANGLES ? LAST_TRIANGLES : last;
+        last = last < LAST_FACTOR_LARGE * target ? LAST_FACTOR_LARGE * target : last;
+    }
     int status = vox_reduce_chunks(s->ctx, s->file, last, options->output_paths[0],
                                    options->keep_materials, &s->mesh);
     s->report->seconds_reduce = bsq_seconds_now() - start;
