@@ -60,7 +60,7 @@ BK_FN void bk_set_nearest(bk_meeting *m, double t)
 BK_FN void bk_meet_box(const bk_meeting *m, float in, float out, bk_uint child, bk_uint *bits,
                        bk_uint *nearest, float *least)
 {
-    const float distance = bk_upper(in * BK_LINE_LESS, 0.0f);
+    const float distance = in * BK_LINE_LESS;
 
     if (!(distance <= bk_lower(out * BK_LINE_MORE, m->end)))
         return;
@@ -80,18 +80,20 @@ BK_FN bk_uint bk_meet_node(const bk_meeting *m, const BK_GLOBAL bk_float4 *node,
 
     for (part = 0; part < 2u; part++) {
         bk_float4 in, out;
+        in.x = in.y = in.z = in.w = 0.0f;
+        out.x = out.y = out.z = out.w = m->end;
         for (k = 0; k < 3u; k++) {
             const bk_float4 a = node[(l->near[k] * 3u + k) * 2u + part];
             const bk_float4 b = node[(l->far[k] * 3u + k) * 2u + part];
             const float from = l->near_origin[k], to = l->far_origin[k], by = l->inverse[k];
-            in.x = k ? bk_upper(in.x, (a.x - from) * by) : (a.x - from) * by;
-            in.y = k ? bk_upper(in.y, (a.y - from) * by) : (a.y - from) * by;
-            in.z = k ? bk_upper(in.z, (a.z - from) * by) : (a.z - from) * by;
-            in.w = k ? bk_upper(in.w, (a.w - from) * by) : (a.w - from) * by;
-            out.x = k ? bk_lower(out.x, (b.x - to) * by) : (b.x - to) * by;
-            out.y = k ? bk_lower(out.y, (b.y - to) * by) : (b.y - to) * by;
-            out.z = k ? bk_lower(out.z, (b.z - to) * by) : (b.z - to) * by;
-            out.w = k ? bk_lower(out.w, (b.w - to) * by) : (b.w - to) * by;
+            in.x = bk_upper(in.x, (a.x - from) * by);
+            in.y = bk_upper(in.y, (a.y - from) * by);
+            in.z = bk_upper(in.z, (a.z - from) * by);
+            in.w = bk_upper(in.w, (a.w - from) * by);
+            out.x = bk_lower(out.x, (b.x - to) * by);
+            out.y = bk_lower(out.y, (b.y - to) * by);
+            out.z = bk_lower(out.z, (b.z - to) * by);
+            out.w = bk_lower(out.w, (b.w - to) * by);
         }
         bk_meet_box(m, in.x, out.x, 4u * part, &bits, nearest, &least);
         bk_meet_box(m, in.y, out.y, 4u * part + 1u, &bits, nearest, &least);
