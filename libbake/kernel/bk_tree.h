@@ -32,8 +32,21 @@ BK_FN float bk_tree_margin(bk_int low, bk_int high, float from)
 /* Most levels of a tree, see BAKE_TREE_DEPTH. */
 #define BK_TREE_DEPTH 58
 
+/* With BK_COUNT, the value of a ray is not what it found, but how many nodes and blocks it visited:
+ * nodes, and BK_COUNT times the blocks. For tests/bench/tree_visits.c. */
+#ifdef BK_COUNT
+#define BK_VISIT(walk, n) ((walk)->visited += (n))
+#define BK_VALUE(walk)    ((float)(walk)->visited)
+#else
+#define BK_VISIT(walk, n) ((void)0)
+#define BK_VALUE(walk)    ((walk)->result)
+#endif
+
 /* A ray on its way through the tree. */
 typedef struct bk_tree_walk {
+#ifdef BK_COUNT
+    bk_int visited;
+#endif
     bk_visits visits;
     float rise;     /* of bk_ray_rise() */
     bk_vec3 margin; /* of the t of a box's borders */
@@ -205,6 +218,7 @@ BK_FN void bk_tree_block(const bk_grid *grid, const bk_params *params, const bk_
     bk_uint inside = bk_tree_enter(x, y, z, walk);
     float t = 0.0f;
 
+    BK_VISIT(walk, BK_COUNT);
     visits->cursor.mask = 0;
     visits->cursor.leaf = (bk_int)leaf;
     while (inside) {
@@ -309,6 +323,7 @@ BK_FN void bk_tree_descend(const bk_grid *grid, bk_tree_walk *walk)
     const BK_GLOBAL bk_ulong2 *words = grid->nodes + (bk_ulong)number * BK_NODE_PAIRS;
     const bk_uint children = bk_tree_children(words, walk), next = (bk_uint)(words->y >> 32);
 
+    BK_VISIT(walk, 1);
     if (!children)
         return;
     if (walk->children)
@@ -338,9 +353,12 @@ BK_FN float bk_tree_look(const bk_grid *grid, const bk_params *params, const bk_
 {
     bk_tree_walk walk;
 
+#ifdef BK_COUNT
+    walk.visited = 0;
+#endif
     bk_tree_begin(params, rays, from, direction, &walk);
     if (!walk.children)
-        return walk.result;
+        return BK_VALUE(&walk);
     BK_ROLLED
     do {
         BK_ROLLED
@@ -353,7 +371,7 @@ BK_FN float bk_tree_look(const bk_grid *grid, const bk_params *params, const bk_
         while (walk.children)
             bk_tree_block(grid, params, rays, bk_tree_take(&walk), &walk);
     } while (bk_tree_resume(&walk));
-    return walk.result;
+    return BK_VALUE(&walk);
 }
 
 /* Traces ray number `ray` of a stored viewpoint, open ones first. found: see bk_add_up(). */

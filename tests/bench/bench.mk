@@ -8,9 +8,11 @@ $(BUILD)/tests/baseline-embree: $(BUILD)/obj/tests/bench/baseline_embree.c.o
 	@mkdir -p $(@D)
 	$(CC) $(common) -o $@ $^ -lembree3
 rays_archives := $(archive.libbake) $(archive.formats) $(archive.base)
-rays_bins := $(addprefix $(BUILD)/tests/,bench-maps bench-exact-rays)
+rays_bins := $(addprefix $(BUILD)/tests/,bench-maps bench-exact-rays tree-visits)
 $(BUILD)/tests/bench-maps: $(BUILD)/obj/tests/bench/maps.c.o
 $(BUILD)/tests/bench-exact-rays: $(BUILD)/obj/tests/bench/exact_rays.c.o
+$(BUILD)/tests/tree-visits: $(BUILD)/obj/tests/bench/tree_visits.c.o
+$(BUILD)/obj/tests/bench/tree_visits.c.o: $(BUILD)/gen/kernel_source.inc
 $(rays_bins): $(patsubst %,$(BUILD)/obj/tests/bench/%.c.o,rays_scene rays_embree) $(rays_archives) \
     | $(helpers) $(BUILD)/tests/lib
 	@mkdir -p $(@D)

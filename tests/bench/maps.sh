@@ -49,6 +49,10 @@ fi
 say "maps and rays"
 "$TESTS/bench-maps" "$scan.nvdb" "$scan.tris" "$low" $size 1 64 "$rounds"
 
+say "visits"
+echo
+"$TESTS/tree-visits" "$scan.nvdb" "$low" 256 16
+
 say "rays on triangles"
 echo
 "$TESTS/bench-exact-rays" "$scan.tris" $((size * size)) 64 "$rounds"
