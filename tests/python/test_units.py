@@ -229,7 +229,7 @@ def test_boxes_keep_hard_edges(tmp_path):
     lean = np.degrees(np.arccos((low.normals[low.normal_faces] * flat[:, None]).sum(axis=2).clip(-1, 1)))
     assert level["mesh"]["hard_edges"] >= 12 and lean.max() < 8
     # Edges that are hard are seams: their ends have other texture coordinates in each face.
-    pairs, same, _ = repair._pairs(low.faces)
+    pairs, same, _ = repair.edge_pairs(low.faces)
     normals = flat[pairs[:, 0] // 3], flat[pairs[:, 1] // 3]
     hard = pairs[(repair._angles(*normals) > 60) & ~same]
     uvs = low.corner_uvs().reshape(-1, 2)
@@ -248,7 +248,7 @@ def test_round_scans_have_no_hard_edges():
         chunks = job.temporary("scan.tris")
         bisque.sort(scan, chunks)
         pairs, hard, report = repair.look(low, chunks, 20, 0.1, {})
-    normals = repair._normals(low)[0]
+    normals = repair.face_normals(low)[0]
     assert (repair._angles(normals[pairs[:, 0] // 3], normals[pairs[:, 1] // 3]) > 20).sum() > 40
     assert report["hard_edges"] == 0 == len(hard) and not report["two_sided"]
 
@@ -279,9 +279,9 @@ def test_holes_are_closed_up_to_a_size(tmp_path):
     low = bisque.simplify((vertices, faces[~(small | large)]), triangles=600)
     for size, closed in ((0.01, 0), (0.8, 1), (9, 2)):
         mesh, count = repair.close_holes(low, size)
-        border = repair._pairs(mesh.faces)[2]
+        border = repair.edge_pairs(mesh.faces)[2]
         assert count == closed and (len(border) == 0) == (closed == 2)
-        assert not repair._pairs(mesh.faces)[1].any()  # wound as their neighbours
+        assert not repair.edge_pairs(mesh.faces)[1].any()  # wound as their neighbours
     p = mesh.vertices[mesh.faces]
     volume = (p[:, 0] * np.cross(p[:, 1], p[:, 2])).sum() / 6
     caps = 1 - np.array([0.7, 0.98])

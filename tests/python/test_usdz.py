@@ -59,8 +59,8 @@ def test_faults_are_found():
 
 
 def test_without_the_library(tmp_path):
-    code = ("import sys, importlib.util as u; find = u.find_spec; u.find_spec = lambda n: None if n == 'pxr' else find(n); "
-            "import bisque_start; sys.exit(bisque_start.asset())")
+    code = ("import sys, importlib.util as u; find = u.find_spec; "
+            "u.find_spec = lambda n: None if n == 'pxr' else find(n); import bisque_start; sys.exit(bisque_start.asset())")
     done = subprocess.run([sys.executable, "-c", code, "scan.obj", "-o", "a.usdz"], cwd=tmp_path, capture_output=True,
                           text=True)
     assert done.returncode == 69

@@ -62,8 +62,7 @@ def choose_surface(low: Mesh, scan_triangles: int, size: int, maps: Any) -> dict
     as large as a texel. If the scan's triangles are not smaller than such voxels, or the grid
     would be larger than MOST_RESOLUTION, rays through triangles are exact, and not slower; but many
     rays from each hit (ao) take several times as long as in a grid."""
-    p = low.vertices[low.faces].astype(np.float64)
-    area = float(np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1).sum() / 2)
+    area = float(repair.face_normals(low)[1].sum())
     texel = (area / (low.report["uv"]["uv_share"] * size * size)) ** 0.5
     side = float((low.vertices.max(axis=0) - low.vertices.min(axis=0)).max())
     edge = (2 * area / max(scan_triangles, 1)) ** 0.5

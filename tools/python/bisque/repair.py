@@ -93,7 +93,7 @@ def _spread(mesh: Mesh, weights: np.ndarray, count: int) -> tuple[np.ndarray, np
     return which, p[:, 0] + a[:, None] * (p[:, 1] - p[:, 0]) + b[:, None] * (p[:, 2] - p[:, 0])
 
 
-def _normals(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+def face_normals(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Returns the unit normals of the faces, and their areas."""
     p = mesh.vertices[mesh.faces].astype(float)
     n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
@@ -103,7 +103,7 @@ def _normals(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 # ---- topology ----
 
-def _pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns the half-edges that share an edge with just one other: rows of two, numbered 3 * face + corner; whether
     both run in one direction, as if one of the faces were turned; and the half-edges that have no other."""
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
@@ -118,7 +118,7 @@ def _pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return pairs, same, order[starts[counts == 1]]
 
 
-def _least(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def connected(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Returns, for each of `count` things, the least one that it is connected with."""
     label = np.arange(count)
     while True:
@@ -137,7 +137,7 @@ def fans(faces: np.ndarray, joined: np.ndarray) -> np.ndarray:
     following = joined - joined % 3 + (joined + 1) % 3
     a = np.concatenate([joined[:, 0], following[:, 0]])
     b = np.concatenate([following[:, 1], joined[:, 1]])
-    return np.unique(_least(faces.size, a, b), return_inverse=True)[1].reshape(-1, 3)
+    return np.unique(connected(faces.size, a, b), return_inverse=True)[1].reshape(-1, 3)
 
 
 def _smooth_normals(mesh: Mesh, corners: np.ndarray) -> np.ndarray:
@@ -146,7 +146,7 @@ def _smooth_normals(mesh: Mesh, corners: np.ndarray) -> np.ndarray:
     along = np.roll(p, -1, axis=1) - p
     along /= np.linalg.norm(along, axis=2, keepdims=True).clip(1e-300)
     angles = np.arccos((-(along * np.roll(along, 1, axis=1)).sum(axis=2)).clip(-1, 1))
-    weighted = angles[:, :, None] * _normals(mesh)[0][:, None]
+    weighted = angles[:, :, None] * face_normals(mesh)[0][:, None]
     sums = np.stack([np.bincount(corners.ravel(), weighted[:, :, k].ravel()) for k in range(3)], axis=1)
     length = np.linalg.norm(sums, axis=1, keepdims=True)
     return np.where(length > 1e-12, sums / length.clip(1e-300), [0, 0, 1]).astype(np.float32)
@@ -157,14 +157,14 @@ def _smooth_normals(mesh: Mesh, corners: np.ndarray) -> np.ndarray:
 def _make_consistent(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
     """Turns as few faces as it takes for neighbours to have one winding. Returns the turned ones, the piece of each
     face, and whether some could not be made consistent, as on a Moebius strip."""
-    pairs, same, _ = _pairs(faces)
+    pairs, same, _ = edge_pairs(faces)
     a, b = pairs[:, 0] // 3, pairs[:, 1] // 3
-    piece = _least(len(faces), a, b)
+    piece = connected(len(faces), a, b)
     if not same.any():
         return np.zeros(len(faces), bool), piece, False
     # A face and its turned twin: neighbours that agree join those of one kind, the others those of unlike kinds.
     n = len(faces)
-    label = _least(2 * n, np.r_[a, a + n], np.r_[np.where(same, b + n, b), np.where(same, b, b + n)])
+    label = connected(2 * n, np.r_[a, a + n], np.r_[np.where(same, b + n, b), np.where(same, b, b + n)])
     turned = label[:n] > label[n:]
     for root in np.unique(piece[turned]):
         of = np.flatnonzero(piece == root)
@@ -181,7 +181,7 @@ def _sky(mesh: Mesh, piece: np.ndarray, areas: np.ndarray, job: dict) -> tuple[n
     by_piece = Mesh(mesh.vertices, mesh.faces[order])
     count = min(len(roots) * PIECE_PROBES, MOST_PIECE_PROBES)
     which, points = _spread(by_piece, share[order].clip(1e-12), count)
-    normals = _normals(by_piece)[0][which]
+    normals = face_normals(by_piece)[0][which]
     reach = 1e-4 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     both = np.concatenate([normals, -normals])
     found = probe((mesh.vertices.astype(float), mesh.faces), np.concatenate([points, points]), both, ["ao"], reach,
@@ -208,7 +208,7 @@ def orient(mesh: Mesh, job: dict) -> tuple[Mesh, dict]:
     any sky in front of them, and more of it behind (Takayama and others, 2014)."""
     turned, piece, impossible = _make_consistent(mesh.faces)
     result = _turn(mesh, turned) if turned.any() else mesh
-    areas = _normals(result)[1]
+    areas = face_normals(result)[1]
     roots, front, back = _sky(result, piece, areas, job)
     inward, outward = (_is_inner(*sides) for sides in ((front, back), (back, front)))
     of_piece = np.bincount(np.searchsorted(roots, piece), areas)
@@ -227,7 +227,7 @@ def orient(mesh: Mesh, job: dict) -> tuple[Mesh, dict]:
 def _loops(faces: np.ndarray) -> list[list[int]]:
     """Returns the closed lines of edges without a second face, each against the direction of its faces. Lines that
     meet themselves at a vertex are left out."""
-    border = _pairs(faces)[2]
+    border = edge_pairs(faces)[2]
     start, end = faces.ravel()[border], np.roll(faces, -1, axis=1).ravel()[border]
     follows: dict[int, int | None] = {}
     for a, b in zip(end.tolist(), start.tolist()):
@@ -286,7 +286,7 @@ def _edge_probes(mesh: Mesh, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     a, b, c = (p[(*rows, (corner + k) % 3)][:, :, None] for k in range(3))
     on_edge = a + np.array(ALONG)[:, None] * (b - a)
     at = on_edge + BESIDE * (c - on_edge)
-    return at, np.broadcast_to(_normals(mesh)[0][face][:, :, None], at.shape)
+    return at, np.broadcast_to(face_normals(mesh)[0][face][:, :, None], at.shape)
 
 
 def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -296,7 +296,7 @@ def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def _in_lines(mesh: Mesh, edges: np.ndarray) -> np.ndarray:
     """Returns which of the half-edges meet, by their ends, at least SHORTEST_LINE of them: a few alone are noise."""
     ends = np.stack([mesh.faces.ravel()[edges], np.roll(mesh.faces, -1, axis=1).ravel()[edges]])
-    line = _least(len(mesh.vertices), *ends)[ends[0]]
+    line = connected(len(mesh.vertices), *ends)[ends[0]]
     return np.bincount(line, minlength=1)[line] >= SHORTEST_LINE
 
 
@@ -304,9 +304,9 @@ def look(mesh: Mesh, chunks: str, hard_angle: float, reach: float, job: dict) ->
     """Looks at the scan along the normals of the mesh. Returns pairs of half-edges, those of edges that are hard: where
     the mesh has an angle above `hard_angle`, and the scan one near as large; and a report, with `two_sided`: the scan
     has faces that look the other way. reach: how far the scan may be from the mesh."""
-    pairs, same, _ = _pairs(mesh.faces)
+    pairs, same, _ = edge_pairs(mesh.faces)
     pairs = pairs[~same]
-    normals, areas = _normals(mesh)
+    normals, areas = face_normals(mesh)
     angles = _angles(normals[pairs[:, 0] // 3], normals[pairs[:, 1] // 3])
     tested = np.flatnonzero(angles > hard_angle)
     tested = tested[np.argsort(-angles[tested], kind="stable")][:MOST_EDGES]
@@ -337,7 +337,7 @@ def seams(mesh: Mesh) -> np.ndarray | None:
     such edges. Charts must not cross them."""
     if mesh.normal_faces is None:
         return None
-    pairs, same, _ = _pairs(mesh.faces)
+    pairs, same, _ = edge_pairs(mesh.faces)
     pairs = pairs[~same]
     following = pairs - pairs % 3 + (pairs + 1) % 3
     normals = mesh.normals[mesh.normal_faces].reshape(-1, 3).astype(float)
@@ -389,7 +389,7 @@ def mended(steps: Any, level: dict, chunks: str, low: Mesh, simple: Path | None,
     diagonal = float(np.linalg.norm(np.ptp(low.vertices, axis=0)))
     reach = diagonal * float(np.clip(2 * distance / max(diagonal, 1e-300), 1e-4, 0.02))
 
-    if not 0 < _normals(low)[1].sum() < np.inf:
+    if not 0 < face_normals(low)[1].sum() < np.inf:
         raise Error(65, "the low-poly mesh: its area is 0, or no number")
 
     def make() -> dict:

@@ -65,7 +65,8 @@ def _define_material(stage: Any, path: str, glb: Glb, material: dict) -> tuple[A
         images[file] = data
         factor, offset = {"normalTexture": (2.0, -1.0), "emissiveTexture": (light, 0.0)}.get(texture, (1.0, 0.0))
         image = shader(
-            texture, "UsdUVTexture", file=(kinds.Asset, file), wrapS=(kinds.Token, "clamp"), wrapT=(kinds.Token, "clamp"),
+            texture, "UsdUVTexture", file=(kinds.Asset, file),
+            wrapS=(kinds.Token, "clamp"), wrapT=(kinds.Token, "clamp"),
             sourceColorSpace=(kinds.Token, "sRGB" if texture in ("baseColorTexture", "emissiveTexture") else "raw"),
             scale=(kinds.Float4, (factor, factor, factor, 1)), bias=(kinds.Float4, (offset, offset, offset, 0)))
         image.CreateInput("st", kinds.Float2).ConnectToSource(at)

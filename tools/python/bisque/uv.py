@@ -14,7 +14,7 @@ import bisque_start
 from . import programs
 from .core import Error, Job, Progress, bake, quiet
 from .mesh import Mesh, as_mesh
-from .repair import seams
+from .repair import connected, edge_pairs, face_normals, seams
 
 
 class UnwrapError(Error):
@@ -106,21 +106,8 @@ def _charts(uvs: np.ndarray, faces: np.ndarray) -> np.ndarray:
     mesh."""
     corners = np.concatenate([faces[:, :, None].astype(np.float64), uvs], axis=2).reshape(-1, 3)
     _, ids = np.unique(corners, axis=0, return_inverse=True)
-    ids = ids.reshape(-1, 3)
-    ends = np.stack([ids, np.roll(ids, -1, axis=1)], axis=2).reshape(-1, 2)
-    ends.sort(axis=1)
-    order = np.lexsort(ends.T)
-    same = (ends[order][1:] == ends[order][:-1]).all(axis=1)
-    a, b = order[:-1][same] // 3, order[1:][same] // 3
-    chart = np.arange(len(faces))
-    while True:  # the least number spreads; pointer jumping makes it fast
-        least = np.minimum(chart[a], chart[b])
-        before = chart.copy()
-        np.minimum.at(chart, a, least)
-        np.minimum.at(chart, b, least)
-        chart = np.minimum(chart, chart[chart])
-        if (chart == before).all():
-            return np.unique(chart, return_inverse=True)[1]
+    pairs = edge_pairs(ids.reshape(-1, 3))[0] // 3
+    return np.unique(connected(len(faces), *pairs.T), return_inverse=True)[1]
 
 
 def _signed_areas(uvs: np.ndarray) -> np.ndarray:
@@ -197,8 +184,7 @@ def _enlarge_small(mesh: Mesh, uvs: np.ndarray, size: int) -> Mesh | None:
     if (texels < SMALL_TEXELS).mean() <= MOST_SMALL:
         return None
     p = mesh.vertices[mesh.faces].astype(np.float64)
-    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1).sum() / 2
-    scale = np.sqrt(texels.sum() / max(area, 1e-300)) / size
+    scale = np.sqrt(texels.sum() / max(face_normals(mesh)[1].sum(), 1e-300)) / size
     # A needle of no area would grow without end, and so would what the library made a point of.
     most = 1 / (8 * np.maximum(_extents(charts, uvs), scale * _extents(charts, p)).clip(1e-9))
     factor = np.sqrt(WANTED_TEXELS / texels.clip(1e-9)).clip(1, most.clip(1))
