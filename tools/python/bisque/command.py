@@ -12,7 +12,7 @@ import sys
 import tempfile
 import traceback
 import warnings
-from typing import Any, NoReturn
+from typing import Any, Callable, NoReturn
 
 import bisque_start
 
@@ -90,6 +90,10 @@ class _Parser(argparse.ArgumentParser):
                 self.error(f"unrecognized option '{name}'")
 
 
+def _names(text: str) -> list[str] | None:
+    return core.own_names(text.split(",")) if text else None
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="bisque-asset", allow_abbrev=False,
                      description="Makes a GLB file with baked maps of a scan of any size.")
@@ -101,7 +105,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--tile-triangles", type=int, default=10_000, metavar="N", help="most triangles of a tile, or "
                         "those of the coarsest level")
     parser.add_argument("--part", metavar="K/N", help="of a job on several machines; see bisque-asset(1)")
-    parser.add_argument("--place", metavar="LON,LAT,HEIGHT", help="where tiles lie on the earth: degrees, and metres")
+    parser.add_argument("--place", type=lambda text: text.split(","), metavar="LON,LAT,HEIGHT",
+                        help="where tiles lie on the earth: degrees, and metres")
     parser.add_argument("--preset", choices=PRESETS, default="web")
     parser.add_argument("--low", metavar="FILE.obj", help="a low-poly mesh to use")
     parser.add_argument("--texture", metavar="FILE", help="the scan's image, if it names none")
@@ -113,12 +118,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--up", metavar="AXIS", help="that points upwards in the scan: x, y, z, -x, -y or -z")
     parser.add_argument("--units", metavar="UNIT", help="of the scan: mm, cm, m or in")
     parser.add_argument("--scale", type=float, metavar="X", help="multiply the asset by X")
-    parser.add_argument("--maps", metavar="LIST", help="such as normal,color,ao")
+    parser.add_argument("--maps", type=_names, metavar="LIST", help="such as normal,color,ao")
     parser.add_argument("--images", choices=IMAGES, help="of the GLB file; jpeg: but for normals")
     parser.add_argument("--geometry", choices=GEOMETRIES, default="none", help="how it is packed in the GLB file")
     parser.add_argument("--samples", type=int, default=2, metavar="N", help="N x N a texel")
     parser.add_argument("--surface", choices=("auto", "grid", "exact"), default="auto")
-    parser.add_argument("--unwrap", choices=uv.LIBRARIES, default=uv.USUAL, metavar="LIBRARY",
+    parser.add_argument("--unwrap", dest="library", choices=uv.LIBRARIES, default=uv.USUAL, metavar="LIBRARY",
                         help="uvunwrap or xatlas")
     parser.add_argument("--unwrap-seconds", type=float, default=300, metavar="S")
     parser.add_argument("--min-component", default=0, metavar="P",
@@ -178,34 +183,20 @@ def _print(a: argparse.Namespace, certificate: dict) -> None:
         raise OSError(error.errno, error.strerror, "standard output") from None
 
 
-#: Options that are of tiles only, and of single assets only.
-OF_TILES = ("tile_triangles", "place", "part")
-NOT_OF_TILES = ("preset", "low", "error", "surface", "close_holes", "hard_angle", "winding", "report", "keep")
-
-
 def _has_levels(a: argparse.Namespace) -> bool:
     return a.tiles or a.levels is not None
 
 
-def _refuse_others(a: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
-    """Refuses options that what is made does not have."""
+def _options_of(a: argparse.Namespace, parser: argparse.ArgumentParser) -> tuple[Callable[..., dict], dict]:
+    """Returns the function that makes what is wanted, and its options. Refuses those that only the other one has."""
     if a.tiles and a.levels is not None:
         raise ValueError("--levels: not with --tiles")
-    for name in NOT_OF_TILES if _has_levels(a) else OF_TILES:
-        if getattr(a, name) != parser.get_default(name):
+    make, other = (tiles, asset) if _has_levels(a) else (asset, tiles)
+    for name, value in vars(a).items():
+        if name in {*other.__kwdefaults__} - {*make.__kwdefaults__} and value != parser.get_default(name):
             raise ValueError(f"--{name.replace('_', '-')}: {'not' if _has_levels(a) else 'only'} with --tiles"
                              f"{' and --levels' * (name != 'place')}")
-
-
-def _make_tiles(a: argparse.Namespace, screen: _Screen) -> dict:
-    more = {"size": a.size} if a.size is not None else {}
-    more |= {"maps": core.own_names(a.maps.split(","))} if a.maps else {}
-    more |= {"images": a.images} if a.images else {}
-    return tiles(a.scan if len(a.scan) > 1 else a.scan[0], a.output, tile_triangles=a.tile_triangles,
-                 triangles=a.triangles, samples=a.samples, library=a.unwrap, unwrap_seconds=a.unwrap_seconds,
-                 min_component=a.min_component, min_triangles=a.min_triangles, up=a.up, units=a.units, scale=a.scale,
-                 place=a.place.split(",") if a.place else None, geometry=a.geometry, texture=a.texture, levels=a.levels,
-                 part=a.part, memory=a.memory, threads=a.threads, progress=screen.progress, **more)
+    return make, {name: value for name, value in vars(a).items() if name in make.__kwdefaults__ and value is not None}
 
 
 def _make(arguments: list[str], screen: _Screen) -> None:
@@ -215,18 +206,12 @@ def _make(arguments: list[str], screen: _Screen) -> None:
     parser = _parser()
     parser.refuse_unknown(joined)
     a = parser.parse_args(joined)
-    _refuse_others(a, parser)
+    make, options = _options_of(a, parser)
     screen.kind = a.progress
     if a.progress == "auto":
         screen.kind = "bar" if sys.stderr and sys.stderr.isatty() else "none"
-    certificate = _make_tiles(a, screen) if _has_levels(a) else asset(
-        a.scan if len(a.scan) > 1 else a.scan[0], a.output, low=a.low, preset=a.preset,
-        triangles=a.triangles, error=a.error, size=a.size, maps=a.maps.split(",") if a.maps else None,
-        samples=a.samples, surface=a.surface, library=a.unwrap, unwrap_seconds=a.unwrap_seconds,
-        min_component=a.min_component, min_triangles=a.min_triangles, close_holes=a.close_holes,
-        hard_angle=a.hard_angle, winding=a.winding, up=a.up, units=a.units, scale=a.scale, texture=a.texture,
-        images=a.images, geometry=a.geometry, report=a.report, keep=a.keep, memory=a.memory, threads=a.threads,
-        progress=screen.progress, command=["bisque-asset", *arguments])
+    options |= {"progress": screen.progress} | ({} if _has_levels(a) else {"command": ["bisque-asset", *arguments]})
+    certificate = make(a.scan if len(a.scan) > 1 else a.scan[0], a.output, **options)
     screen.end_bar()
     _print(a, certificate)
 
