@@ -292,7 +292,7 @@ static float get_cost(const struct candidate *candidate)
     return cost;
 }
 
-static uint64_t first_child(uint64_t at)
+static uint64_t place_below(uint64_t at)
 {
     return CHILDREN * (at - HEAP_TOP + 1);
 }
@@ -300,10 +300,10 @@ static uint64_t first_child(uint64_t at)
 static void sift_down(struct collapse *c, uint64_t at)
 {
     const struct candidate moved = c->heap[at];
-    for (uint64_t child; (child = first_child(at)) < c->heap_end; at = child) {
+    for (uint64_t child; (child = place_below(at)) < c->heap_end; at = child) {
         const uint64_t end = child + CHILDREN;
         for (uint64_t i = 0; i < CHILDREN; i++)
-            __builtin_prefetch(&c->heap[first_child(child + i)]);
+            __builtin_prefetch(&c->heap[place_below(child + i)]);
         for (uint64_t i = child + 1; i < end && i < c->heap_end; i++)
             child = is_before(&c->heap[i], &c->heap[child]) ? i : child;
         if (!is_before(&c->heap[child], &moved))
