@@ -92,6 +92,10 @@ if has_opencl; then
     # This device shares the host's memory; the next one has its own.
     run bisque-bake --device opencl:0 $usual -o 'x.<MAP>.exr' --json
     json '(.device | endswith(", exact")) and .kernel_calls > 0'
+    calls=$(sed -n 's/.*"kernel_calls": \([0-9]*\).*/\1/p' "$out")
+    made x usual
+    run bisque-bake --device opencl:0 $usual -o 'x.<MAP>.exr' --gpu-memory 12M --json
+    json ".kernel_calls > $calls"
     made x usual
     # shellcheck disable=SC2086
     run bisque-bake --device opencl:0 $other -o 'x.<MAP>.exr'
