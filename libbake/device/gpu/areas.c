@@ -9,8 +9,9 @@
 #include "base/context.h"
 #include "libbake/device/gpu/gpu_internal.h"
 
-/* A launch has at most this many viewpoints and, unless one has more, rays: 3 ms on a fast GPU. */
-enum { LOOK_VIEWPOINTS = 1 << 15, LOOK_RAYS = 1 << 20 };
+/* A launch has at most this many viewpoints and, unless one has more, rays: 1.5 ms on a fast GPU, a
+ * second on a slow one. */
+enum { LOOK_VIEWPOINTS = 1 << 15, LOOK_RAYS = 1 << 19 };
 
 /* ---- areas ---- */
 
