@@ -324,7 +324,7 @@ static struct search search_all(const struct mesh *from, const struct mesh *to, 
 /* Returns the most that may be reported of what a search found. */
 static double most_of(const struct search *s)
 {
-    return 1.011 * fmax(s->low, s->high < 1.002 * s->low ? 0 : s->high) + 2 * s->slack;
+    return 1.01 * fmax(s->low, s->high) + 2 * s->slack;
 }
 
 /* Checks what is reported of the way from one mesh to the other. */
