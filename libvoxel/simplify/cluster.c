@@ -301,13 +301,12 @@ static void keep_triangles(struct clustering *c)
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         const uint32_t *v = mesh->triangles[t];
         const uint32_t i = owners[v[0]], j = owners[v[1]], k = owners[v[2]];
-        if (i == j || j == k || k == i)
-            continue;
-        c->kept[c->kept_count++] = t;
-        first[i]++;
-        first[j]++;
-        first[k]++;
+        c->kept[c->kept_count] = t; /* without branches, which would be hard to predict */
+        c->kept_count += (i != j) & (j != k) & (k != i);
     }
+    for (uint32_t n = 0; n < c->kept_count; n++)
+        for (int k = 0; k < 3; k++)
+            first[owners[mesh->triangles[c->kept[n]][k]]]++;
     for (uint32_t v = 0; v <= mesh->vertex_count; v++)
         first[v] = at += first[v];
     for (uint32_t n = c->kept_count; n-- > 0;) {
