@@ -67,7 +67,8 @@ def read_tile(folder, tile):
     images = [np.asarray(Image.open(io.BytesIO(view(image["bufferView"]))).convert("RGB"), float)
               for image in head["images"]]
     return {"p": rows[:, :3].astype(float), "n": rows[:, 3:6].astype(float), "t": rows[:, 6:10].astype(float),
-            "uv": rows[:, 10:].astype(float), "faces": faces[:tile["triangles"]], "all": faces, "images": images}
+            "uv": rows[:, 10:].astype(float), "faces": faces[:tile["triangles"]], "all": faces, "images": images,
+            "head": head}
 
 
 @pytest.fixture(scope="module")

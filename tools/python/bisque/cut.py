@@ -18,7 +18,8 @@ from .mesh import Error, read_mesh
 SLIDE_SHARE, SLIDE_STEEP = 0.25, 0.1
 #: The column of points that has the width of the skirt. Skirts hide gaps beside tiles up to SKIRT_LEVELS levels away;
 #: they are wider than these by a factor, and by a share of the tile's size, for what is drawn between rounded points.
-WIDTH, SKIRT_LEVELS, SKIRT_FACTOR, SKIRT_LEAST = 6, 2, 1.25, 1e-4
+#: Of normals that are almost those of a plane, less than SKIRT_STEEP lies in it, and they are taken as they are.
+WIDTH, SKIRT_LEVELS, SKIRT_FACTOR, SKIRT_LEAST, SKIRT_STEEP = 6, 2, 1.25, 1e-4, 0.1
 #: Distances that are computed at once.
 PAIRS = 1 << 20
 
@@ -221,8 +222,9 @@ def divide(parts: list[Part], limit: int, level: int = 0, low: Any = -np.inf, hi
 # ---- skirts ----
 
 def add_skirt(tile: Tile, rows: np.ndarray, faces: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
-    """Adds strips to the vertices and triangles of a tile: from its edges on planes, against the normals, as wide as
-    the gaps beside tiles of other levels, but not wider than `most`. They hide these gaps, and look as the edge."""
+    """Adds strips to the vertices and triangles of a tile: from its edges on planes inwards, as wide as the gaps beside
+    tiles of other levels, but not wider than `most`. They hide these gaps, and look as the edge. As both sides of a gap
+    lie in a plane, strips do: against the normals, but for the part of these that leaves the plane."""
     part = tile.part
     edges = np.concatenate([_border_edges(part, axis, side[axis]) for side in (tile.low, tile.high) for axis in range(3)
                             if np.isfinite(side[axis])] or [np.empty((0, 2), np.int64)])
@@ -232,7 +234,11 @@ def add_skirt(tile: Tile, rows: np.ndarray, faces: np.ndarray, most: float) -> t
     widths = np.minimum(SKIRT_FACTOR * widths + SKIRT_LEAST * size.max(), max(most, SKIRT_LEAST * size.max()))
     used, which = np.unique(faces.ravel()[edges], return_inverse=True)
     lower = rows[used].copy()
-    lower[:, :3] -= widths[used, None] * lower[:, 3:6]
+    on_planes = (lower[:, :3] == tile.low) | (lower[:, :3] == tile.high)
+    outwards = np.where(on_planes, 0, lower[:, 3:6])
+    length = np.linalg.norm(outwards, axis=1)[:, None]
+    outwards = np.where(length > SKIRT_STEEP, outwards / np.maximum(length, SKIRT_STEEP), lower[:, 3:6])
+    lower[:, :3] -= widths[used, None] * outwards
     a, b = faces.ravel()[edges].T
     below_a, below_b = len(rows) + which.reshape(-1, 2).T
     strips = np.concatenate([np.stack([b, a, below_a], axis=1), np.stack([b, below_a, below_b], axis=1)])
