@@ -411,6 +411,16 @@ def test_other_sizes_and_maps_start_from_the_uvs(scan, tmp_path, monkeypatch):
     assert found[0] == found[1] and found[1][:3] == found[2][:3] and found[1][3] != found[2][3]
 
 
+def test_scenes_have_addresses_of_any_names(tmp_path):
+    output = tmp_path / os.fsdecode(b"a #1\xff.glb")
+    (_, target), *_ = bisque.museum.outputs(output, 0, 20_000, 512)
+    target.write_bytes(b"x")
+    level = {"placement": {"size_m": [1, 1, 1]}, "files": {target: target}, "triangles": 3}
+    bisque.museum.add_scene(tmp_path / "scene", output, [(20_000, 512)], [level])
+    scene = json.loads((tmp_path / "scene").read_text())
+    assert scene["models"][0]["derivatives"][0]["assets"][0]["uri"] == "a%20%231%FF-20k-512-thumb.glb"
+
+
 def test_levels_of_a_scan_in_memory(scan, tmp_path, monkeypatch):
     monkeypatch.setitem(bisque.PRESETS["museum"], "levels", [(300, 64), (900, 128), (600, 64)])
     monkeypatch.setitem(bisque.PRESETS["museum"], "maps", ("normal", "color"))

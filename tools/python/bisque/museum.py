@@ -3,7 +3,9 @@ scene that Voyager opens (dpo-voyager, source/client/schema/json)."""
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
+from urllib.parse import quote
 
 from . import core
 from .mesh import Error
@@ -44,7 +46,7 @@ def add_scene(path: Path, output: Path, chosen: list[tuple[int, int]], levels: l
     far = max(levels[0]["placement"]["size_m"])
     qualities = {quality.lower(): quality for of_level in QUALITIES for quality in of_level}
     derivatives = [{"usage": usage, "quality": quality, "assets": [{
-        "uri": target.name, "type": "Model", "mimeType": MIME_TYPES[target.suffix],
+        "uri": quote(os.fsencode(target.name)), "type": "Model", "mimeType": MIME_TYPES[target.suffix],
         "byteSize": level["files"][target].stat().st_size, "numFaces": level["triangles"], "imageSize": side}]}
         for number, (pair, level) in enumerate(zip(chosen, levels))
         for side, target in outputs(output, number, *pair)
