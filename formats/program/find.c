@@ -25,6 +25,17 @@ static void cut_last_name(char *path)
         *slash = '\0';
 }
 
+/* Sets the path of a shared library, or of the program if that is NULL. Of a program that was
+ * replaced since it began, as by an upgrade, only the last name is another one then. */
+static bool find_own_path(const char *library, char out[PATH_MAX])
+{
+    if (library)
+        return realpath(library, out) != NULL;
+    const ssize_t length = readlink("/proc/self/exe", out, PATH_MAX - 1);
+    out[length > 0 ? length : 0] = '\0';
+    return length > 0;
+}
+
 /* Finds the directories to look in. Returns their number, at least 1. */
 static int find_places(char places[PLACES][PATH_MAX])
 {
@@ -36,7 +47,7 @@ static int find_places(char places[PLACES][PATH_MAX])
     /* The main program has an empty l_name, and info.dli_fname is argv[0], not always a path. */
     const bool shared = dladdr1(fmt_program_directory, &info, (void **)&object, RTLD_DL_LINKMAP) &&
                         object && object->l_name[0];
-    if (realpath(shared ? object->l_name : "/proc/self/exe", own)) {
+    if (find_own_path(shared ? object->l_name : NULL, own)) {
         cut_last_name(own);
         strcpy(places[count++], own);
         cut_last_name(own);

@@ -124,6 +124,12 @@ BIN=$PWD/moved/bin
 ok run bisque-voxelize box.obj --texture red.ppm --vdb moved.vdb -o moved.nvdb --resolution 32
 command="bisque-voxelize --vdb" code=0
 holds "the same OpenVDB file from a moved installation" cmp -s box.vdb moved.vdb
+cp moved/bin/bisque-voxelize moved/bin/replaced
+exec 9<moved/bin/replaced
+rm moved/bin/replaced
+/proc/self/fd/9 box.obj --texture red.ppm --vdb moved.vdb -o moved.nvdb --resolution 32 >"$out" 2>"$err"
+check "a program that was replaced finds its helpers" $?
+exec 9<&-
 for program in bisque-voxelize bisque-bake bisque-compare; do
     command="ldd $program" code=0
     ldd "$BIN/$program" >"$out" 2>"$err"
