@@ -157,8 +157,8 @@ def test_a_mesh_that_cannot_be_saved_leaves_no_file(tmp_path):
 def test_numbers_that_only_python_has_are_refused(tmp_path):
     path = tmp_path / "a.obj"
     text = OBJ.decode()
-    for wrong in (text.replace("v 1 0", "v 1_0 0"), text.replace("2/2/1", "0_2/2/1"), text.replace("3/3/1", f"{10 ** 30}/3/1")):
-        path.write_text(wrong)
+    for word, wrong in (("v 1 0", "v 1_0 0"), ("2/2/1", "0_2/2/1"), ("3/3/1", f"{10 ** 30}/3/1")):
+        path.write_text(text.replace(word, wrong))
         with pytest.raises(bisque.Error, match=str(path)) as caught:
             bisque.mesh.read_mesh(str(path))
         assert caught.value.status == 65
