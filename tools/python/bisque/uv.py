@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import importlib.util
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -90,6 +91,8 @@ def _run(mesh: Mesh, library: str, size: int, padding: int, seconds: float) -> n
                               f" s: {ADVICE.format(other=other)}") from None
         if done.returncode != 0 or not target.exists():
             reason = (done.stderr.strip() or f"it ended with {done.returncode}").splitlines()[-1]
+            if done.returncode == -signal.SIGKILL or "MemoryError" in reason.partition(":")[0]:
+                raise Error(71, f"{library} had too little memory to unwrap {len(mesh.faces)} triangles")
             raise UnwrapError(f"{library} could not unwrap {len(mesh.faces)} triangles ({reason}): "
                               f"{ADVICE.format(other=other)}")
         uvs = np.load(target)
