@@ -70,6 +70,14 @@ def _widest_skirts(tile: Tile, above: tuple[float, ...] = ()) -> Iterator[tuple[
         yield from _widest_skirts(child, (*above, tile.error))
 
 
+def _left(job: dict) -> dict:
+    """Returns a job whose budget leaves out what this process has in memory already."""
+    if not job["memory"]:
+        return job
+    own = int(Path("/proc/self/statm").read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return {**job, "memory": max(job["memory"] - own, job["memory"] // 4)}
+
+
 def _each(steps: Steps, stage: str, work: Callable[[int], Any], count: int, threads: int) -> list:
     """Returns the results of `work` for each number below a count, of several threads."""
     with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
@@ -143,7 +151,7 @@ def _make_tree(steps: Steps, chunks: str, targets: list[int], options: dict, ori
     options = {"triangles": targets, **{key: options[key] for key in ("min_component", "min_triangles")}}
 
     def make() -> dict:
-        report = core.simplify_levels(chunks, paths, progress=steps.report, **options, **job)
+        report = core.simplify_levels(chunks, paths, progress=steps.report, **options, **_left(job))
         least = report["levels"][len(targets) - 1]["triangles"]
         if least > limit:
             steps.heard.warn(f"the coarsest tile has {least} triangles instead of {limit}: each edge that is left "
@@ -166,7 +174,8 @@ def _measure(steps: Steps, chunks: str, tiles: list[Tile], origin: np.ndarray, p
     vertices = np.concatenate([tile.part.points[:, :3] for tile in tiles]) + origin
     boxes = [np.concatenate([tile.low + origin, tile.high + origin]).tolist() for tile in tiles]
     found = steps.run(f"check {tiles[0].level}", [chunks], {"content": _digest(tiles), "boxes": boxes}, [],
-                      lambda: core.measure((vertices, faces), chunks, boxes=boxes, progress=steps.report, **job), parts)
+                      lambda: core.measure((vertices, faces), chunks, boxes=boxes, progress=steps.report,
+                                           **_left(job)), parts)
     for tile, distances in zip(tiles, found["boxes"]):
         tile.distances = distances
         tile.error = max(of["max"] for of in distances.values())
@@ -228,7 +237,7 @@ def _bake(steps: Steps, name: str, chunks: str, tiles: list[Tile], obj: Path, wi
     def make() -> list[dict]:
         core.bake(chunks, obj, options["maps"], size=options["size"], samples=options["samples"], glb=whole, format="",
                   arrays=False, as_is=True, output_path=str(obj.with_name("<MATERIAL>_<MAP>.png")),
-                  progress=steps.report, **job)
+                  progress=steps.report, **_left(job))
         baked = Glb(whole)
         found = _each(steps, "packing", lambda i: _finish_tile(tiles[i], baked, i, widths[tiles[i].name], files[i],
                                                                options, job["memory"]), len(tiles), job["threads"])
@@ -415,7 +424,7 @@ def _run(steps: Steps, chunks: str, about: dict, options: dict, level: dict, par
     if options["levels"] is None:
         files["tileset.json"] = steps.folder / "tileset.json"
         files["tileset.json"].write_text(json.dumps(tileset(plan.root, known, origin, options), indent=1) + "\n")
-        if make_page(steps.folder / "index.html"):
+        if options["geometry"] == "none" and make_page(steps.folder / "index.html"):  # its loader unpacks nothing
             files["index.html"] = steps.folder / "index.html"
     made = steps.folder.parent
     told = [line for lines in steps.warnings.values() for line in lines]
