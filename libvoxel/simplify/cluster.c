@@ -61,13 +61,6 @@ struct clustering {
 
 /* ---- clusters ---- */
 
-static uint64_t mix(uint64_t x)
-{
-    x = (x + 1) * UINT64_C(0x9e3779b97f4a7c15);
-    x = (x ^ x >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
-    return x ^ x >> 27;
-}
-
 /* Gives vertices a cell of their own unless the edges around them close. Then each neighbour is
  * once after and once before a vertex, so that sums of mixed numbers are 0. Returns how many have
  * one. */
@@ -80,7 +73,8 @@ static int keep_borders(struct clustering *c, uint32_t *kept)
     BSQ_TRY(BSQ_CALLOC(c->ctx, "clusters", mesh->vertex_count, &sums));
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         const uint32_t *v = mesh->triangles[t];
-        const uint64_t m[3] = {mix(v[0]), mix(v[1]), mix(v[2])};
+        const uint64_t m[3] = {vox_mix_bits(v[0] + UINT64_C(1)), vox_mix_bits(v[1] + UINT64_C(1)),
+                               vox_mix_bits(v[2] + UINT64_C(1))};
         sums[v[0]] += m[1] - m[2];
         sums[v[1]] += m[2] - m[0];
         sums[v[2]] += m[0] - m[1];

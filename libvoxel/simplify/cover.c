@@ -8,21 +8,13 @@
 #include <string.h>
 
 #include "libvoxel/simplify/distance_lanes.h"
+#include "libvoxel/simplify/mesh.h"
 
 struct vox_cover_sum {
     _Atomic uint64_t edges;  /* of hashes of directed edges; 0: all cancel */
     _Atomic uint64_t height; /* bits of the largest one */
     _Atomic int64_t turns;   /* how often the chain covers the middle */
 };
-
-/* Mixes all bits (Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators", 2014).
- */
-static uint64_t mix_bits(uint64_t x)
-{
-    x = (x ^ x >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
-    x = (x ^ x >> 27) * UINT64_C(0x94d049bb133111eb);
-    return x ^ x >> 31;
-}
 
 static void add_block_vertex(struct vox_cover_block *block, const float position[3])
 {
@@ -33,8 +25,8 @@ static void add_block_vertex(struct vox_cover_block *block, const float position
         memcpy(&bits[k], &x, sizeof x);
         block->points[k][v] = (double)x;
     }
-    block->hashes[0][v] = mix_bits(mix_bits(bits[0] | (uint64_t)bits[1] << 32) + bits[2]);
-    block->hashes[1][v] = mix_bits(block->hashes[0][v] + UINT64_C(0x9e3779b97f4a7c15));
+    block->hashes[0][v] = vox_mix_bits(vox_mix_bits(bits[0] | (uint64_t)bits[1] << 32) + bits[2]);
+    block->hashes[1][v] = vox_mix_bits(block->hashes[0][v] + UINT64_C(0x9e3779b97f4a7c15));
 }
 
 /* Grows the box of a block by a triangle. Returns false if it would have a side above `most`. */

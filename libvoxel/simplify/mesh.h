@@ -53,6 +53,15 @@ int vox_mesh_close_slits(struct bsq_ctx *ctx, struct vox_mesh *mesh);
  * one's plane times its area. */
 void vox_mesh_set_quadrics(struct vox_mesh *mesh);
 
+/* Mixes all bits, and leaves 0 as it is (Steele, Lea and Flood, "Fast Splittable Pseudorandom
+ * Number Generators", 2014). */
+static inline uint64_t vox_mix_bits(uint64_t x)
+{
+    x = (x ^ x >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
+    x = (x ^ x >> 27) * UINT64_C(0x94d049bb133111eb);
+    return x ^ x >> 31;
+}
+
 /* Returns the number of the set that v is in; a set has the number of one of its members. */
 static inline uint32_t vox_find_root(uint32_t *parents, uint32_t v)
 {
