@@ -262,8 +262,8 @@ struct bake_options {
     bool strict;    /**< For the caller, too, who sets bsq_set_strict(). */
     uint32_t parts; /**< Number of parts that the bake is divided into; 0: none, see bake_run(). */
     uint32_t part;  /**< The one to bake, from 1 on; 0: all parts are merged. */
-    /** One of BAKE_DEVICE_NAMES; NULL or "": "cpu" if its cores are expected to finish before a fast
-     * GPU, else "auto". */
+    /** One of BAKE_DEVICE_NAMES; NULL or "": "cpu" if its cores are expected to finish before a
+     * fast GPU, else "auto". */
     const char *device;
     /** Most bytes of a GPU's memory to use; 0: all that is free. The processor bakes a grid that
      * needs more, after a warning: it reads the grid from its file. */

@@ -123,8 +123,8 @@ int vox_boxes_add_triangles(const struct vox_measuring *m, const struct fmt_tris
                             uint32_t count);
 /* Adds what is known of boxes by a chunk. */
 void vox_boxes_add(struct vox_measuring *m, const struct vox_box_sums *list, uint32_t count);
-/* Bounds the triangles of the mesh for all boxes by m->bounds, and sets the boxes' distances. Errors:
- * BSQ_EINTR. */
+/* Bounds the triangles of the mesh for all boxes by m->bounds, and sets the boxes' distances.
+ * Errors: BSQ_EINTR. */
 int vox_boxes_end(struct vox_measuring *m);
 
 /* Adds sums to others. */

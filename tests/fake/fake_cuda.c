@@ -21,7 +21,8 @@
  * more, so do all later calls; if it is negative, the call raises that signal;
  *  - FAKE_CUDA_HANG=FILE: cuInit() writes the process's number to the file and never returns;
  *  - FAKE_CUDA_NS=N: a sample takes N nanoseconds of event time (default: real time);
- *  - FAKE_CUDA_LOG=FILE: gets a line for each copy, launch and wait: its kind and its stream's number;
+ *  - FAKE_CUDA_LOG=FILE: gets a line for each copy, launch and wait: its kind and its stream's
+ * number;
  *  - FAKE_CUDA_HOURS=N: hours of event time that pass before the first kernel. */
 #include <signal.h>
 #include <stdio.h>
