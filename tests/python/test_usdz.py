@@ -51,6 +51,12 @@ def test_bytes_are_always_the_same(colored, low, tmp_path):
     assert (tmp_path / "a.usdz").read_bytes() == (tmp_path / "b.usdz").read_bytes()
 
 
+def test_an_older_file_of_the_other_kind_stays(colored, low, tmp_path):
+    for name in ("a.glb", "a.usdz", "a.glb"):
+        bisque.asset(colored, tmp_path / name, low=low, size=32)
+    assert {path.name for path in tmp_path.iterdir()} == {"a.glb", "a.usdz", "a_asset"}
+
+
 def test_faults_are_found():
     """The validators are no empty list: a stage without its upward axis fails."""
     stage = Usd.Stage.CreateInMemory()

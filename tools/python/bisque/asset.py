@@ -464,8 +464,8 @@ def _sync(path: Path) -> None:
 def publish(certificate: dict, made: Path, output: Path, note: Path, steps: Steps, move: bool,
             paper_name: str = "asset.json") -> None:
     """Gives all files of an asset their names: copies first, then the names, the certificate last.
-    Files of an older asset that this one has not go; `note` tells of them if this is interrupted.
-    move: the private folder needs its files no more. paper_name: of the certificate."""
+    Files of an older asset that this one has not go, but for what its user named; `note` tells of them if this is
+    interrupted. move: the private folder needs its files no more. paper_name: of the certificate."""
     pairs = {target: source for level in certificate["levels"] for target, source in level["files"].items()}
     for target in pairs:
         if target.exists() and any(os.path.exists(p) and os.path.samefile(p, target) for p in steps.seen):
@@ -498,7 +498,8 @@ def publish(certificate: dict, made: Path, output: Path, note: Path, steps: Step
         for copy in copies.values():
             _sync(copy)
         paper.unlink(missing_ok=True)
-        for name, checksum in [file for file in older if file[0] not in own]:
+        kept = {os.path.relpath(output.with_suffix(suffix), made) for suffix in (".glb", usdz.SUFFIX)}
+        for name, checksum in [file for file in older if file[0] not in own.keys() | kept]:
             if (made / name).is_file() and sha256(made / name)[0] == checksum:
                 (made / name).unlink()
             with contextlib.suppress(OSError):  # unless it has other files, as `made` has
