@@ -247,6 +247,9 @@ public_copies  := $(public_headers:%=$(BUILD)/include/%)
 $(public_copies): $(BUILD)/include/%: %
 	@install -D -m 644 $< $@
 
+# The Python package is installed there: tools/python/python.mk.
+venv := $(BUILD)/venv
+
 include tests/tests.mk
 
 # ---- packages ----

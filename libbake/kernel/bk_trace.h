@@ -474,12 +474,13 @@ BK_FN void bk_trace_single(const bk_grid *grid, const bk_params *params, const b
     lines.t_max = bk_splat(rays->t_max);
     lines.gap = 0.0f;
     lines.sums[0] = 0;
-    hits.found = 0;
-    if (bk_bits(bk_less(bk_splat(0.0f), bk_dotw(lines.direction, lines.direction))) & 1u)
-        bk_trace(grid, params, &cache, &lines, &hits);
-    hit[0] = hits.found ? bk_lane(hits.t, 0) : BK_NOTHING;
+    hit[0] = BK_NOTHING;
+    if (!(bk_bits(bk_less(bk_splat(0.0f), bk_dotw(lines.direction, lines.direction))) & 1u))
+        return;
+    bk_trace(grid, params, &cache, &lines, &hits);
     if (!hits.found)
         return;
+    hit[0] = bk_lane(hits.t, 0);
     hit[1] = bk_lane(hits.normal.x, 0);
     hit[2] = bk_lane(hits.normal.y, 0);
     hit[3] = bk_lane(hits.normal.z, 0);

@@ -1,5 +1,4 @@
 # python.mk - the Python package: its wheel, its tests, the demo of assets. Part of the Makefile.
-venv  := $(BUILD)/venv
 wheel := $(BUILD)/wheel
 extension := $(BUILD)/extension
 
