@@ -249,12 +249,12 @@ static bool fall_back(struct bake_device *device, const char *why)
     return atomic_load(&device->lost);
 }
 
-/* Returns 1 after a step of the GPU that did not fail; 0 if the processor goes on. */
-static int went_well(struct bake_device *device, int status, const char *why)
+/* Returns what a step of the GPU returned; BSQ_RETRY if it failed and the processor goes on. */
+static int after_step(struct bake_device *device, int status, const char *why)
 {
     if (status == 0)
-        return 1;
-    return fall_back(device, why) ? 0
+        return 0;
+    return fall_back(device, why) ? BSQ_RETRY
                                   : bsq_fail(device->ctx, status, "%s: %s", device->gpu->name, why);
 }
 
@@ -268,8 +268,8 @@ int bake_device_begin(struct bake_device *device, const struct bk_patch *patch,
 {
     char why[BAKE_WHY_BYTES] = "";
     if (!device->gpu || atomic_load(&device->lost))
-        return 0;
-    return went_well(
+        return BSQ_RETRY;
+    return after_step(
         device, bake_gpu_begin(device->gpu, patch, sample_triangles, worker, window, why), why);
 }
 
@@ -277,18 +277,18 @@ int bake_device_end(struct bake_device *device, const struct bk_patch *patch, fl
                     unsigned worker, unsigned window)
 {
     char why[BAKE_WHY_BYTES] = "";
-    return went_well(device, bake_gpu_end(device->gpu, patch, texels, worker, window, why), why);
+    return after_step(device, bake_gpu_end(device->gpu, patch, texels, worker, window, why), why);
 }
 
 int bake_device_trace(struct bake_device *device, const struct bk_patch *patch,
                       const uint32_t *sample_triangles, float *texels, unsigned worker)
 {
     int status = bake_device_begin(device, patch, sample_triangles, worker, 0);
-    if (status > 0)
-        status = bake_device_end(device, patch, texels, worker, 0);
     if (status == 0)
-        return bake_native_trace(device->native, patch, sample_triangles, texels, worker);
-    return status < 0 ? status : 0;
+        status = bake_device_end(device, patch, texels, worker, 0);
+    if (status != BSQ_RETRY)
+        return status;
+    return bake_native_trace(device->native, patch, sample_triangles, texels, worker);
 }
 
 /* ---- single rays ---- */
@@ -318,18 +318,18 @@ int bake_device_trace_rays(struct bake_device *device, const struct bake_ray_bat
     _Static_assert(sizeof *batch->rays == BK_RAY_FLOATS * sizeof(float), "devices read them");
     char why[BAKE_WHY_BYTES] = "";
     const float *hits;
-    if (device->gpu && !atomic_load(&device->lost)) {
-        const int status =
-            went_well(device,
-                      bake_gpu_trace_rays(device->gpu, batch->rays->origin, (uint32_t)batch->count,
-                                          (float)(batch->t_min / unit),
-                                          (float)(batch->t_max / unit), &hits, worker, why),
-                      why);
-        if (status > 0)
-            device_take_hits(hits, unit, batch);
-        if (status != 0)
-            return status < 0 ? status : 0;
-    }
+    int status = BSQ_RETRY;
+    if (device->gpu && !atomic_load(&device->lost))
+        status =
+            after_step(device,
+                       bake_gpu_trace_rays(device->gpu, batch->rays->origin, (uint32_t)batch->count,
+                                           (float)(batch->t_min / unit),
+                                           (float)(batch->t_max / unit), &hits, worker, why),
+                       why);
+    if (status == 0)
+        device_take_hits(hits, unit, batch);
+    if (status != BSQ_RETRY)
+        return status;
     bake_trace_rays(device->scene.grid, &device->scene.params, unit, batch, 0, batch->count);
     return 0;
 }
@@ -339,13 +339,6 @@ int bake_device_trace_rays(struct bake_device *device, const struct bake_ray_bat
 bool bake_device_has_areas(const struct bake_device *device)
 {
     return device->gpu && device->gpu->exact && !atomic_load(&device->lost);
-}
-
-/* Likewise for steps whose callers go on: returns 0, or BSQ_RETRY if the processor does. */
-static int after_step(struct bake_device *device, int status, const char *why)
-{
-    const int went = went_well(device, status, why);
-    return went < 0 ? went : went > 0 ? 0 : BSQ_RETRY;
 }
 
 int bake_device_make_areas(struct bake_device *device, uint64_t whole, uint64_t least,

@@ -31,8 +31,8 @@ const char *bake_device_name(const struct bake_device *device);
 int bake_device_trace(struct bake_device *device, const struct bk_patch *patch,
                       const uint32_t *sample_triangles, float *texels, unsigned worker);
 /* Start a patch, and wait for it. A worker may start several patches, one in each window; window 0
- * is that of bake_device_trace(). They return 1 if the device did, and 0 if it is the processor or
- * was lost: then bake_device_trace() is to follow. */
+ * is that of bake_device_trace(). Errors: BSQ_RETRY if the device is the processor or was lost:
+ * then bake_device_trace() is to follow; those of bake_device_trace(). */
 unsigned bake_device_windows(const struct bake_device *device); /* at least 1 */
 int bake_device_begin(struct bake_device *device, const struct bk_patch *patch,
                       const uint32_t *sample_triangles, unsigned worker, unsigned window);

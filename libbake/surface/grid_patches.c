@@ -46,12 +46,13 @@ static int end_first_patch(struct trace *trace, unsigned number)
     const struct bk_patch patch = bake_raster_patch(raster, index);
     uint64_t counted;
     int status = bake_device_end(trace->device, &patch, worker->texels, number, window);
-    if (status == 0) {
+    if (status == BSQ_RETRY) {
         BSQ_PASS(bake_raster_fill(raster, index, worker->sample_triangles, &counted));
-        BSQ_PASS(bake_device_trace(trace->device, &patch, worker->sample_triangles, worker->texels,
-                                   number));
+        status = bake_device_trace(trace->device, &patch, worker->sample_triangles, worker->texels,
+                                   number);
     }
-    return status < 0 ? status : store_patch(trace, &patch, worker);
+    BSQ_PASS(status);
+    return store_patch(trace, &patch, worker);
 }
 
 static int grid_trace_patch(void *arg, uint64_t index, unsigned number)
@@ -71,13 +72,12 @@ static int grid_trace_patch(void *arg, uint64_t index, unsigned number)
         bake_seen_mark_patch(trace->surface, patches, &patch, worker->sample_triangles);
     const int status =
         bake_device_begin(trace->device, &patch, worker->sample_triangles, number, window);
-    if (status < 0)
-        return status;
-    if (status == 0) {
+    if (status == BSQ_RETRY) {
         BSQ_PASS(bake_device_trace(trace->device, &patch, worker->sample_triangles, worker->texels,
                                    number));
         return store_patch(trace, &patch, worker);
     }
+    BSQ_PASS(status);
     started->patches[window] = (uint32_t)index;
     started->begun++;
     return started->begun - started->ended < windows ? 0 : end_first_patch(trace, number);
