@@ -45,7 +45,7 @@ enum bake_position_in {
 
 /** How viewers use the opacity in a GLB file. */
 enum bake_alpha {
-    BAKE_ALPHA_BLEND, /**< The surface is mixed with what is behind it. */
+    BAKE_ALPHA_BLEND, /**< The surface is drawn over what is behind it, by its opacity. */
     BAKE_ALPHA_MASK   /**< Texels with an opacity below 0.5 are not drawn. */
 };
 

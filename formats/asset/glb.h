@@ -26,7 +26,7 @@ enum fmt_glb_texture {
 enum fmt_glb_alpha {
     FMT_GLB_OPAQUE, /* not at all */
     FMT_GLB_MASK,   /* texels with an alpha below 0.5 are not drawn */
-    FMT_GLB_BLEND   /* texels are mixed with what is behind the surface */
+    FMT_GLB_BLEND   /* the surface is drawn over what is behind it, by its alpha */
 };
 
 struct fmt_glb_material {

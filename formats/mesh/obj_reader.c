@@ -46,8 +46,9 @@ static uint64_t find_lines(struct stream_slot *slot, uint64_t have, bool at_file
     return at_file_end || (size == 0 && memchr(slot->bytes, '\0', have)) ? have : size;
 }
 
-/* Cuts a block of a plain file that goes on behind it, and reads no more of it than the end:
- * workers read blocks at the same time. Leaves its size 0 if no line ends there. */
+/* Cuts a block of full size from a plain file, if the file does not end in it. Reads only the end
+ * of the block, to find a line end there: workers read the rest, several blocks at a time. Leaves
+ * the size 0 if the block cannot be cut this way. */
 static int cut_by_end(struct stream_slot *slot)
 {
     enum { TAIL = 4096 };

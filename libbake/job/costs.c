@@ -15,8 +15,8 @@ struct speed {
 };
 static const struct speed grid_speed = {0.35e-6, 0.6e-6, 0.2e-6, 0.35e-6, 3.0e-6};
 static const struct speed exact_speed = {0.95e-6, 0.0, 2.3e-6, 4.0e-6, 9.0e-6};
-/* A grid on a GPU: seconds of the card, those of an H100, and of one core beside it. Opening it,
- * and the bytes of the grid that go up in a second. */
+/* A grid on a GPU: seconds of the card (an H100), and of one core, whose work goes on beside it;
+ * then seconds to open the card, and how many bytes of the grid reach it in a second. */
 static const struct speed gpu_speed = {1.0e-9, 1.0e-9, 0.92e-9, 2.7e-9, 10e-9};
 static const struct speed beside_gpu_speed = {0.1e-6, 0.0, 0.0, 0.0, 0.4e-6};
 /* Likewise of triangles, whose first rays the processor traces. The card's are aims: no card has
@@ -81,7 +81,7 @@ static struct share share_of(const struct bake_job *job, uint64_t texels)
     return (struct share){job, texels, texels * samples};
 }
 
-/* Returns the seconds of one core that baking so many texels takes. */
+/* Returns how many seconds one core is expected to need for so many texels. */
 static double expect_seconds(const struct bake_job *job, uint64_t texels)
 {
     const struct share share = share_of(job, texels);

@@ -87,8 +87,9 @@ int bake_set_params(struct bake_job *job);
 
 /* ---- costs ---- */
 
-/* Returns whether all cores are expected to bake so many texels from a single scan before a
- * fast GPU, which has to be opened and to get the grid or the chunks first. */
+/* Returns whether all cores together are expected to finish before a fast GPU, which must first be
+ * opened and be given the grid or the chunks. There is a single scan. texels: how many are baked.
+ */
 bool bake_expect_processor_first(const struct bake_job *job, uint64_t texels);
 /* Sets the rays and the seconds that the report expects. The triangles must be prepared. Returns
  * the texels that they cover. */
@@ -100,8 +101,9 @@ uint64_t bake_expect_work(const struct bake_job *job);
  * to bake, or are baked as a whole. */
 int bake_arrange_triangles(struct bake_job *job);
 int bake_rasterise(struct bake_job *job);
-/* Opens the device that traces so many texels, if there is a single grid. If the user
- * names none, it is the one that is expected to finish first. */
+/* Opens the device that traces: there is one if the only scan is a grid, or has triangles and the
+ * maps need rays from hits. If the user names none, it is the one that is expected to finish first.
+ * texels: how many are baked. */
 int bake_open_device(struct bake_job *job, uint64_t texels);
 /* Traces all tiles that have rasters. */
 int bake_trace_maps(struct bake_job *job);

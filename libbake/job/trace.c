@@ -301,7 +301,6 @@ static void note_device(struct bake_job *job)
     job->report->kernel_calls = times.launches;
 }
 
-/* Frees what is needed for tracing only. */
 void bake_end_tracing(struct bake_job *job)
 {
     if (job->device)

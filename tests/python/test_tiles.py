@@ -191,6 +191,18 @@ def spread(rng, corners, count):
     return chosen[:, 0] * (1 - u - v) + chosen[:, 1] * u + chosen[:, 2] * v
 
 
+def scan_points(rng, count):
+    """Returns the corners of the scan's triangles, and points in them."""
+    scan = coloured()
+    corners = np.asarray(scan.vertices)[scan.faces]
+    return corners, spread(rng, corners, count)
+
+
+def triangles_of(read, names):
+    """Returns the corners of all triangles of tiles."""
+    return np.concatenate([read[name]["p"][read[name]["faces"]] for name in names])
+
+
 def region_of(tile):
     low, high = tile["region"]
     return (np.array([-np.inf if x is None else x for x in low]), np.array([np.inf if x is None else x for x in high]))
@@ -199,20 +211,17 @@ def region_of(tile):
 def test_no_point_is_farther_than_the_errors(made, read):
     _, certificate, _ = made
     rng = np.random.default_rng(5)
-    scan = coloured()
-    corners = np.asarray(scan.vertices)[scan.faces]
-    points = spread(rng, corners, 150)
+    corners, points = scan_points(rng, 150)
     for level in range(len(certificate["meshes"])):
         names = of_level(certificate, level)
-        tiles = np.concatenate([read[name]["p"][read[name]["faces"]] for name in names])
-        distances = distance_to_triangles(points, tiles)
+        distances = distance_to_triangles(points, triangles_of(read, names))
         found = np.zeros(len(points), int)
         for name in names:
             low, high = region_of(certificate["tiles"][name])
             inside = ((points >= low) & (points <= high)).all(axis=1)
             found += inside
             assert distances[inside].max(initial=0) <= certificate["tiles"][name]["geometric_error"] + 1e-6
-            back = distance_to_triangles(spread(rng, read[name]["p"][read[name]["faces"]], 6), corners)
+            back = distance_to_triangles(spread(rng, triangles_of(read, [name]), 6), corners)
             assert back.max() <= certificate["tiles"][name]["geometric_error"] + 1e-6
         assert (found >= 1).all()  # regions leave no gap
         # The bound is no more than it has to be: a level's error is close to what some point of it shows.
@@ -222,17 +231,15 @@ def test_no_point_is_farther_than_the_errors(made, read):
 def test_figures_of_a_tile_are_those_of_its_region(made, read):
     _, certificate, _ = made
     rng = np.random.default_rng(11)
-    scan = coloured()
-    corners = np.asarray(scan.vertices)[scan.faces]
-    points = spread(rng, corners, 2500)
+    corners, points = scan_points(rng, 2500)
     names = of_level(certificate, 1)
-    distances = distance_to_triangles(points, np.concatenate([read[name]["p"][read[name]["faces"]] for name in names]))
+    distances = distance_to_triangles(points, triangles_of(read, names))
     for name in names:
         tile = certificate["tiles"][name]
         low, high = region_of(tile)
         mine = distances[((points >= low) & (points < high)).all(axis=1)]
         assert len(mine) > 300
-        back = distance_to_triangles(spread(rng, read[name]["p"][read[name]["faces"]], 200), corners)
+        back = distance_to_triangles(spread(rng, triangles_of(read, [name]), 200), corners)
         for key, sample, close in (("from_scan", mine, 0.15), ("from_mesh", back, 0.3)):
             figures = tile[key]
             assert abs(figures["mean"] / sample.mean() - 1) < close
