@@ -63,7 +63,6 @@ LIBS.formats  = $(shell $(pkg_config) --libs $(pc_formats)) -lz -lstdc++
 LIBS.texture  = $(shell $(pkg_config) --libs $(pc_texture))
 LIBS.tiff     = $(shell $(pkg_config) --libs $(pc_tiff))
 LIBS.gltf     = -ldraco -lmeshoptimizer
-LIBS.scene    = -lassimp
 LIBS.vdb      = -lopenvdb -ltbb $(shell $(pkg_config) --libs Imath)
 LIBS.bake     = -ldl $(LIBS.tools)
 LIBS.all      = $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
@@ -91,7 +90,7 @@ shared   := $(BUILD)/lib/libbisque.so.0
 # The stamp holds the version and a checksum of the headers that helpers share with the programs.
 program_stamp  := formats/program/stamp.c
 shared_headers := $(addprefix base/,version.h context.h file.h output.h parallel.h) \
-    $(addprefix formats/,material/file_extent.h program/program.h mesh/gltf_task.h mesh/scene_file.h texture/image_rows.h \
+    $(addprefix formats/,material/file_extent.h program/program.h mesh/gltf_task.h texture/image_rows.h \
     grid/nvdb.h grid/nvdb_layout_internal.h grid/vdb_program.h)
 directory_cppflags = -DFMT_PROGRAM_DIRECTORY='"$(prefix)/lib/bisque"'
 stamp_cppflags = \
@@ -99,9 +98,9 @@ stamp_cppflags = \
 
 programs := bisque-voxelize bisque-simplify bisque-bake bisque-compare
 bins     := $(addprefix $(BUILD)/bin/,$(programs))
-# Programs that the others start, for code that may crash: they ask drivers for devices, read meshes by Assimp and
-# images by libtiff or OpenImageIO, decompress parts of glTF files, and write OpenVDB files.
-helpers  := $(addprefix $(BUILD)/lib/bisque/bisque-,devices scene tiff texture gltf vdb)
+# Programs that the others start, for code that may crash: they ask drivers for devices, read images by
+# libtiff or OpenImageIO, decompress parts of glTF files, and write OpenVDB files.
+helpers  := $(addprefix $(BUILD)/lib/bisque/bisque-,devices tiff texture gltf vdb)
 
 # The frame and the script of reports, which programs find relative to themselves.
 report_parts := $(addprefix $(BUILD)/share/bisque/,report.html report.js)
@@ -229,7 +228,6 @@ $(BUILD)/lib/bisque/bisque-devices: $(BUILD)/obj/$(src.helper).o $(archives)
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $< $(archive.libbake) $(archive.formats) $(archive.base) \
 	    $(LIBS.all)
-src.scene    := formats/mesh/scene_assimp.cc
 src.tiff     := formats/texture/tiff_rows.cc formats/texture/image_program.cc
 src.texture  := formats/texture/oiio_rows.cc formats/texture/image_program.cc
 src.gltf     := formats/mesh/gltf_decode.cc
@@ -240,7 +238,7 @@ $(BUILD)/lib/bisque/bisque-$(1): $(src.$(1):%=$(BUILD)/obj/%.o) $(archives)
 	$$(CXX) $$(common) $$(LDFLAGS) -o $$@ $$(filter %.o,$$^) $(archive.formats) $(archive.base) \
 	    $$(LIBS.$(1)) $$(LIBS.all)
 endef
-$(foreach r,scene tiff texture gltf vdb,$(eval $(call reader_rule,$(r))))
+$(foreach r,tiff texture gltf vdb,$(eval $(call reader_rule,$(r))))
 
 # A folder with the installed headers and no others, for examples/ and `make doc`.
 public_copies  := $(public_headers:%=$(BUILD)/include/%)
@@ -254,7 +252,7 @@ include tests/tests.mk
 
 # ---- packages ----
 packages_build := gcc g++ pkg-config libopenvdb-dev libboost-dev libopenexr-dev libopenimageio-dev \
-    libtiff-dev libpng-dev libjpeg62-turbo-dev libjansson-dev libdraco-dev libmeshoptimizer-dev libassimp-dev \
+    libtiff-dev libpng-dev libjpeg62-turbo-dev libjansson-dev libdraco-dev libmeshoptimizer-dev \
     libxxhash-dev zlib1g-dev libdeflate-dev libisal-dev libzstd-dev opencl-c-headers
 packages_test  := libcmocka-dev libembree-dev libnanovdb-dev libnanovdb-tools libopenvdb-tools \
     pocl-opencl-icd \

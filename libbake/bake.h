@@ -306,7 +306,7 @@ struct bake_options {
 
 /** In an output path: stands for the name of the low-poly mesh's object, which then has maps of its
  * own. An object follows an "o" or "g" statement of an OBJ file, or is a node with a mesh in glTF
- * files and those that Assimp reads; without any, it is the whole file. */
+ * files; without any, it is the whole file. */
 #define BAKE_OBJECT_TOKEN "<OBJECT>"
 /** In an output path: stands for the name of the low-poly mesh's material, which then has maps of
  * its own. */

@@ -112,9 +112,6 @@ fuzz.packed := $(fuzz.obj)
 fuzz.compressed := $(BUILD)/obj/tests/fuzz/compressed_check.cc.o
 fuzz_libs.compressed := $(LIBS.gltf)
 fuzz_link.compressed := $(CXX)
-fuzz.assimp := $(BUILD)/obj/tests/fuzz/scene_check.cc.o
-fuzz_libs.assimp := $(LIBS.scene)
-fuzz_link.assimp := $(CXX)
 fuzz_libs  := $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base)
 .SECONDEXPANSION:
 replays    := $(fuzz_names:%=$(BUILD)/tests/replay-%)

@@ -272,28 +272,13 @@ static void end_use(struct fmt_input *input)
     bsq_file_close(input->ctx, &input->file);
 }
 
-/* Drops what was unpacked, and the end of a pipe. */
-static void end_all(struct fmt_input *input)
-{
-    end_use(input);
-    if (is_pipe(input))
-        close(input->pipe_fd);
-    input->pipe_fd = -1;
-}
-
-void fmt_input_replace(struct fmt_input *input, const struct bsq_source *source)
-{
-    end_all(input);
-    input->packed = false;
-    input->source = source;
-    input->size = input->file_size = source->bytes;
-}
-
 void fmt_input_free(struct fmt_input *input)
 {
     if (!input)
         return;
-    end_all(input);
+    end_use(input);
+    if (is_pipe(input))
+        close(input->pipe_fd);
     pthread_rwlock_destroy(&input->stored_lock);
     pthread_mutex_destroy(&input->lock);
     BSQ_FREE(input->ctx, input->path, input->beside, input);

@@ -24,9 +24,6 @@ int fmt_input_create(struct bsq_ctx *ctx, const char *path, const char *beside, 
 /* Makes an input of a callback, which must live as long. `name` is copied, for messages. */
 int fmt_input_create_source(struct bsq_ctx *ctx, const char *name, const struct bsq_source *source,
                             struct fmt_input **out);
-/* Makes the bytes of a callback, which must live as long, those of an input that has been read
- * whole. Its path and what lies beside it stay. */
-void fmt_input_replace(struct fmt_input *input, const struct bsq_source *source);
 /* Frees the input; NULL is allowed. */
 void fmt_input_free(struct fmt_input *input);
 

@@ -8,7 +8,6 @@
 #include <string.h>
 
 #include "formats/mesh/gltf_internal.h"
-#include "formats/mesh/scene_file.h"
 
 /* ---- meshes: which accessors their primitives use ---- */
 
@@ -265,7 +264,9 @@ static int read_transform(const struct gltf_item *item, double out[3][4])
     return 0;
 }
 
-bool fmt_invert_for_normals(const double m[3][4], double out[3][3])
+/* Sets the matrix of normals of a node's matrix: its inverse transpose, times a positive number.
+ * Returns whether the node mirrors. */
+static bool invert_for_normals(const double m[3][4], double out[3][3])
 {
     double determinant = 0, largest = 0;
     for (int i = 0; i < 3; i++)
@@ -338,7 +339,7 @@ static int add_placement(struct walk *w, const struct gltf_item *item, uint32_t 
     source->unread.morphs += is_morphed(item, mesh);
     *out = (struct gltf_placement){.mesh = mesh};
     memcpy(out->matrix, matrix, sizeof out->matrix);
-    out->mirrored = fmt_invert_for_normals(matrix, out->normal_matrix);
+    out->mirrored = invert_for_normals(matrix, out->normal_matrix);
     source->uneven_scale |= scales_unevenly(matrix);
     memcpy(out->base, source->total, sizeof out->base);
     out->object_base = source->object_count;

@@ -312,7 +312,7 @@ int fmt_obj_finish_materials(struct fmt_mesh_reader *reader);
 /* The registry. The first row also reads files that no row recognises. */
 #define FMT_MESH_FORMATS(ROW)                                                                      \
     ROW(fmt_obj_format)                                                                            \
-    ROW(fmt_ply_format) ROW(fmt_stl_format) ROW(fmt_gltf_format) ROW(fmt_scene_format)
+    ROW(fmt_ply_format) ROW(fmt_stl_format) ROW(fmt_gltf_format)
 
 #define FMT_MESH_DECLARE(format) extern const struct fmt_mesh_format format;
 FMT_MESH_FORMATS(FMT_MESH_DECLARE)

@@ -75,6 +75,12 @@ bool fmt_mesh_recognise(const char *path, const char *head, size_t size)
     return find_by_content(head, size) || find_by_suffix(path);
 }
 
+#define EXPORT_ADVICE                                                                              \
+    "make a GLB file of it, such as by `assimp export in.fbx in.glb` (Debian: assimp-utils)"
+
+/* Suffixes of files of meshes that Bisque does not read. */
+#define FOREIGN_SUFFIXES ".fbx .dae .3ds .x"
+
 /* Kinds of files that users take for meshes, by their first bytes, and what to do about them. Other
  * files are left to the parsers, which name the line. */
 static const struct foreign {
@@ -82,6 +88,7 @@ static const struct foreign {
     unsigned size;
     const char *kind, *advice;
 } foreign_kinds[] = {
+    {"Kaydara FBX Binary", 18, "an FBX file", EXPORT_ADVICE},
     {"\x1f\x8b", 2, "a file packed by gzip twice", "unpack it first"},
     {"BZh", 3, "a file packed by bzip2", "unpack it first"},
     {"\3757zXZ", 5, "a file packed by xz", "unpack it first"},
@@ -104,6 +111,9 @@ static int refuse_foreign(struct bsq_ctx *ctx, const char *path, const char *hea
             return bsq_fail(ctx, BSQ_EDATA, "%s: cannot read %s: %s", path, foreign->kind,
                             foreign->advice);
     }
+    if (has_any_suffix(path, fmt_mesh_unpacked_length(path), FOREIGN_SUFFIXES))
+        return bsq_fail(ctx, BSQ_EDATA, "%s: cannot read files of this format: %s", path,
+                        EXPORT_ADVICE);
     return 0;
 }
 

@@ -171,9 +171,9 @@ int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_esti
 /* ---- materials ---- */
 
 /* Gives each pair of material and object a material number of its own in the batches that follow.
- * An object of an OBJ file begins at an "o" or "g" statement and has its name. In glTF files, and
- * in those that Assimp reads, it is a node with a mesh. Call it before the first reading. Does
- * nothing for formats without objects. */
+ * An object of an OBJ file begins at an "o" or "g" statement and has its name. In glTF files
+ * it is a node with a mesh. Call it before the first reading. Does nothing for formats without
+ * objects. */
 void fmt_mesh_use_objects(struct fmt_mesh_reader *reader);
 
 /* Describes all materials that the batches read so far refer to; their index in the list is the

@@ -435,10 +435,3 @@ int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, const char *place, bool 
     bsq_free(ctx, text);
     return status;
 }
-
-int fmt_mtl_parse(struct bsq_ctx *ctx, const char *path, char *text, uint64_t size,
-                  struct fmt_materials *materials)
-{
-    struct reader reader = {.ctx = ctx, .path = path, .materials = materials, .again = true};
-    return read_text(&reader, text, size);
-}

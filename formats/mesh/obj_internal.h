@@ -60,13 +60,6 @@ struct obj_file {
     bool bad_paint;
 };
 
-/* ---- obj_reader.c ---- */
-
-/* Implement struct fmt_mesh_format, for other readers whose files become OBJ, too. */
-int fmt_obj_cut(const struct stream_block *before, struct stream_slot *slot);
-int fmt_obj_estimate(struct stream_source *source, uint64_t bytes, bool plain,
-                     struct fmt_mesh_estimate *out);
-
 /* ---- obj_parse.c ---- */
 
 /* Parses bytes [begin, begin + size) of slot->bytes, which have STREAM_PADDING bytes after them.
@@ -101,10 +94,5 @@ int fmt_obj_enter_libraries(struct stream_source *source, uint64_t line, const c
  * those of bsq_file_open(). */
 int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, const char *place, bool again,
                  struct fmt_materials *materials);
-
-/* Appends the materials of MTL text without warnings. `size` bytes, which OBJ_TEXT_PADDING zeros
- * follow; changes them. path: textures are looked for beside it. */
-int fmt_mtl_parse(struct bsq_ctx *ctx, const char *path, char *text, uint64_t size,
-                  struct fmt_materials *materials);
 
 #endif

@@ -68,7 +68,7 @@ static int cut_by_end(struct stream_slot *slot)
     return 0;
 }
 
-int fmt_obj_cut(const struct stream_block *before, struct stream_slot *slot)
+static int cut(const struct stream_block *before, struct stream_slot *slot)
 {
     slot->block.first_item = before->end > 0 ? before->first_item + 1 : 0;
     slot->block.offset = before->end;
@@ -320,8 +320,8 @@ static void add_estimate(const struct mesh_arrays *a, bool only_start, uint64_t 
     out->has_colors |= a->has_colors || a->late_color_count > 0;
 }
 
-int fmt_obj_estimate(struct stream_source *source, uint64_t bytes, bool plain,
-                     struct fmt_mesh_estimate *out)
+static int estimate(struct stream_source *source, uint64_t bytes, bool plain,
+                    struct fmt_mesh_estimate *out)
 {
     struct stream_slot slot = {.ctx = source->ctx, .source = source, .last_face = UINT64_MAX};
     const uint64_t size = plain ? SAMPLE_BYTES : FMT_INPUT_SAMPLE_BYTES;
@@ -359,11 +359,11 @@ const struct fmt_mesh_format fmt_obj_format = {
                  [OBJ_USEMAP] = "usemap statements, whose textures are not read (see --texture)",
                  [OBJ_UNKNOWN] = "lines with statements that are not of the format"},
     .end = end,
-    .cut = fmt_obj_cut,
+    .cut = cut,
     .parse = parse,
     .pass = pass,
     .finish = finish,
-    .estimate = fmt_obj_estimate,
+    .estimate = estimate,
     .read_materials = fmt_obj_read_materials,
     .preview_materials = fmt_obj_preview_materials,
     .find_object = fmt_obj_find_object,

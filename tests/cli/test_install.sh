@@ -35,7 +35,7 @@ is_there share/bisque/farm/bisque-openjd share/bisque/farm/bisque-image share/bi
     share/bisque/farm/tiles.openjd.yaml
 is_there share/bisque/farm/deadline/template.yaml share/bisque/report.html share/bisque/report.js
 is_there lib/bisque/bisque-texture lib/bisque/bisque-tiff lib/bisque/bisque-vdb lib/bisque/bisque-devices
-is_there lib/bisque/bisque-gltf lib/bisque/bisque-scene
+is_there lib/bisque/bisque-gltf
 command="tests/lint/symbols.sh" code=0
 "$top/tests/lint/symbols.sh" "$build/lib" >"$out" 2>"$err" || code=$?
 check "exported symbols have their library's prefix" "$code"

@@ -69,14 +69,6 @@ $vox s1.ply beyond.obj -o beyond.nvdb
 refused 65 'bisque-voxelize: beyond.obj:5: face refers to vertex 4294967297, file has 3'
 
 ok run bisque-voxelize --parse-only s0.obj s1.ply
-# Files that Assimp reads, two of one kind beside another one.
-meshes=$top/tests/meshes
-for up in '' '--up z'; do
-    # shellcheck disable=SC2086 # two words
-    ok $vox s0.obj "$meshes/uv.assimp.dae" "$meshes/uv.blender.fbx" $up -o assimp.nvdb
-    holds "all triangles are there" grep -q ', 224 triangles,' "$out"
-done
-ok $vox "$meshes/uv.assimp.dae" "$meshes/uv.assimp.dae" -o assimp.nvdb
 
 # ---- indices belong to their file ----
 

@@ -59,7 +59,6 @@ while read -r kind scale up translation; do
     turn="--up $up"
     [ $up != keep ] || turn=
     for file in "$meshes/$kind".obj "$meshes/$kind".*.*; do
-        case $file in *.3ds | *.fbx) continue ;; esac # their triangles are others
         # shellcheck disable=SC2086 # the turn is no option or two words
         ok $vox --scale "$scale" "$file" $turn -o moved.nvdb --translate="$translation"
         same expected.nvdb moved.nvdb

@@ -1,7 +1,7 @@
 #!/bin/sh
 # Copies a cross build so that its programs run under qemu-user: each becomes a script that starts
 # qemu with the program itself, which lies beside the script's folder. Programs that these start,
-# such as bisque-scene, are scripts too.
+# such as bisque-gltf, are scripts too.
 #
 #   tests/cross/emulate.sh BUILD SYSROOT TO
 set -eu

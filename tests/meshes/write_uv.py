@@ -1,8 +1,5 @@
-# Writes the files uv.* of this folder: a patch of 6 x 6 squares with texture coordinates. Needs bpy
-# 5.0.1 (Blender) from PyPI for Python 3.11, and assimp 5.2.5 of Debian 12.
+# Writes the files uv.* of this folder: a patch of 6 x 6 squares with texture coordinates. Needs assimp 5.2.5 of Debian 12.
 import subprocess
-
-import bpy
 
 side = 7
 points = [(i / 8, (i * j % 3) / 8, -j / 8) for j in range(side) for i in range(side)]
@@ -18,17 +15,4 @@ with open("uv.obj", "w") as out:
         out.write("vt %.9g %.9g\n" % (p[0] / 0.75, -p[2] / 0.75))
     for q in quads:
         out.write("f %s\n" % " ".join("%d/%d" % (v + 1, v + 1) for v in q))
-bpy.ops.wm.read_factory_settings(use_empty=True)
-data = bpy.data.meshes.new("patch")
-data.from_pydata([(x, -z, y) for x, y, z in points], [], quads)
-layer = data.uv_layers.new(name="uv")
-for loop, value in zip(data.loops, layer.data):
-    p = points[loop.vertex_index]
-    value.uv = (p[0] / 0.75, -p[2] / 0.75)
-data.materials.append(bpy.data.materials.new("stone"))
-item = bpy.data.objects.new("patch", data)
-bpy.context.scene.collection.objects.link(item)
-bpy.ops.export_scene.fbx(filepath="uv.blender.fbx", apply_scale_options="FBX_SCALE_UNITS",
-                         mesh_smooth_type="OFF", use_tspace=False)
-for suffix in ("dae", "x", "3ds"):
-    subprocess.run(["assimp", "export", "uv.obj", "uv.assimp." + suffix], check=True)
+subprocess.run(["assimp", "export", "uv.obj", "uv.assimp.glb"], check=True)

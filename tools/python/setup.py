@@ -1,7 +1,7 @@
 """Builds Bisque with make, links its libraries into the extension and puts its programs beside it.
 
 bisque/bin has the programs, bisque/lib the extension, and bisque/lib/bisque the helpers, which both
-find there. OpenImageIO, OpenVDB and Assimp stay outside: their libraries are hundreds of megabytes.
+find there. OpenImageIO and OpenVDB stay outside: their libraries are hundreds of megabytes.
 """
 import os
 import re

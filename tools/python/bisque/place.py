@@ -18,7 +18,7 @@ _H = 0.5 ** 0.5
 UP = {"x": (0, 0, _H, _H), "y": (0, 0, 0, 1), "z": (-_H, 0, 0, _H),
       "-x": (0, 0, -_H, _H), "-y": (1, 0, 0, 0), "-z": (_H, 0, 0, _H)}
 #: Files whose readers know both.
-PLACED = (".glb", ".gltf", ".fbx", ".dae")
+PLACED = (".glb", ".gltf")
 #: Sizes in metres beyond which a unit is doubted.
 LARGEST, SMALLEST = 50, 0.005
 
