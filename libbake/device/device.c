@@ -351,6 +351,14 @@ int bake_device_make_areas(struct bake_device *device, uint64_t whole, uint64_t 
     return after_step(device, status, why);
 }
 
+int bake_device_make_wave(struct bake_device *device, uint64_t least, uint64_t *bytes)
+{
+    char why[BAKE_WHY_BYTES] = "";
+    const int status = bake_gpu_make_wave(device->gpu, least, why);
+    *bytes = device->gpu->wave_bytes;
+    return after_step(device, status, why);
+}
+
 void bake_device_release_areas(struct bake_device *device)
 {
     bake_gpu_release_areas(device->gpu);
@@ -370,6 +378,15 @@ int bake_device_look(struct bake_device *device, uint32_t area, const struct bk_
     char why[BAKE_WHY_BYTES] = "";
     const int status =
         bake_gpu_look(device->gpu, area, params, viewpoints, begin, end, worker, states, why);
+    return after_step(device, status, why);
+}
+
+int bake_device_first(struct bake_device *device, uint64_t at, const bk_limits *limits,
+                      const struct bake_first_rays *rays, const bk_first_hit **hits,
+                      unsigned worker)
+{
+    char why[BAKE_WHY_BYTES] = "";
+    const int status = bake_gpu_first(device->gpu, at, limits, rays, hits, worker, why);
     return after_step(device, status, why);
 }
 

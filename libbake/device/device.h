@@ -58,11 +58,15 @@ bool bake_device_has_areas(const struct bake_device *device);
 int bake_device_make_areas(struct bake_device *device, uint64_t whole, uint64_t least,
                            uint32_t *count, uint64_t *bytes);
 void bake_device_release_areas(struct bake_device *device);
+int bake_device_make_wave(struct bake_device *device, uint64_t least, uint64_t *bytes);
 int bake_device_send(struct bake_device *device, uint32_t area, uint64_t at, const void *from,
                      uint64_t bytes, unsigned worker);
 int bake_device_look(struct bake_device *device, uint32_t area, const struct bk_params *params,
                      const struct bake_viewpoints *viewpoints, uint64_t begin, uint64_t end,
                      unsigned worker, const struct bake_ray_states *states);
+int bake_device_first(struct bake_device *device, uint64_t at, const bk_limits *limits,
+                      const struct bake_first_rays *rays, const bk_first_hit **hits,
+                      unsigned worker);
 
 /* Returns what the device did so far; zeros for the processor. Must not be called while patches are
  * traced. */

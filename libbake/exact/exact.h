@@ -4,7 +4,7 @@
  * A batch's rays are sorted into one bucket for each chunk that they cross. Each of these chunks is
  * loaded, gets a tree of boxes, finds the nearest hits of its rays, and evaluates their normals and
  * colours, which hits in later chunks may replace. Results do not depend on chunks, threads or
- * memory: the hit with the smallest (bake_ray_cost(t), -t, triangle number) wins, and all three are
+ * memory: the hit with the smallest (bk_ray_cost(t), -t, triangle number) wins, and all three are
  * computed alike in any order. */
 #ifndef BAKE_EXACT_EXACT_H
 #define BAKE_EXACT_EXACT_H
@@ -56,19 +56,25 @@ void bake_exact_chunks_in(const struct bake_exact *exact, const float low[3], co
  * for the rays, hits and footprints that the caller allocates, and for more_bytes for each ray. */
 uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes);
 
-/* Traces a batch on all threads. Must not be called from parallel work. Errors: BSQ_EDATA for a
- * damaged chunk, BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
+/* Traces a batch on all threads, and on the device if there is one, unless the batch is sampled.
+ * Must not be called from parallel work. Errors: BSQ_EDATA for a damaged chunk, BSQ_EIO,
+ * BSQ_ENOMEM, BSQ_EINTR, BSQ_ENODEVICE. */
 int bake_exact_trace(struct bake_exact *exact, const struct bake_ray_batch *batch);
+
+/* ---- devices ---- */
+
+/* Raises what a scene of chunks needs of a device's memory to what this scan needs of it, for the
+ * rays of the scene's parameters. */
+void bake_exact_add_needs(const struct bake_exact *exact, struct bake_scene *scene);
+/* Lets a device trace the rays of later batches and looks, with the same results, or from NULL on
+ * the processor again. It must stay open until these are freed. wave_bytes: of
+ * bake_device_make_wave(). */
+void bake_exact_set_device(struct bake_exact *exact, struct bake_device *device,
+                           uint64_t wave_bytes);
 
 /* ---- secondary rays ---- */
 
 struct bake_exact_look;
-
-/* Returns the device memory that secondary rays need at least, for struct bake_scene. */
-uint64_t bake_exact_chunk_bytes(const struct bake_exact *exact);
-/* Lets a device trace the secondary rays of later looks, with the same results, or from NULL on the
- * processor again. It must stay open until these are freed. */
-void bake_exact_set_device(struct bake_exact *exact, struct bake_device *device);
 
 /* Prepares secondary rays: takes up to a third of what is left of the budget, for the chunks of the
  * scan. params: maps, counts and lengths of rays; must outlive *out. Errors: BSQ_ENOMEM; of a

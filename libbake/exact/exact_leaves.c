@@ -66,14 +66,14 @@ static void sort_middles(struct bsq_middle *middles, uint32_t count)
 
 /* ---- leaves ---- */
 
-/* Sets a leaf to up to eight triangles. Returns their bounds. */
+/* Sets a leaf to triangles. Returns their bounds. */
 static struct exact_box set_corners(struct exact_leaf *leaf, const struct fmt_tris_chunk *chunk,
-                                    const struct bsq_middle *middles, uint32_t count, bool sided)
+                                    const uint32_t triangles[EXACT_RUN], bool sided)
 {
     struct exact_box box = EXACT_EMPTY_BOX;
     leaf->backwards = 0;
     for (uint32_t i = 0; i < EXACT_RUN; i++) {
-        const uint32_t triangle = middles[i < count ? i : count - 1].number;
+        const uint32_t triangle = triangles[i];
         if (sided)
             leaf->backwards |= (uint32_t)bake_exact_wound_backwards(chunk, triangle) << i;
         for (int corner = 0; corner < 3; corner++) {
@@ -84,6 +84,16 @@ static struct exact_box set_corners(struct exact_leaf *leaf, const struct fmt_tr
         }
     }
     return box;
+}
+
+void bake_exact_leaf_set(const struct fmt_tris_chunk *chunk, uint32_t run, bool sided,
+                         struct exact_leaf *out)
+{
+    uint32_t triangles[EXACT_RUN];
+    for (uint32_t i = 0; i < EXACT_RUN; i++)
+        triangles[i] = EXACT_RUN * run + i < chunk->triangle_count ? EXACT_RUN * run + i
+                                                                   : chunk->triangle_count - 1;
+    set_corners(out, chunk, triangles, sided);
 }
 
 void bake_exact_leaves_build(const struct fmt_tris_chunk *chunk, bool sorted, bool sided,
@@ -102,10 +112,13 @@ void bake_exact_leaves_build(const struct fmt_tris_chunk *chunk, bool sorted, bo
     }
     if (sorted)
         sort_middles(middles, count);
-    for (uint32_t first = 0; first < count; first += EXACT_RUN)
-        boxes[first / EXACT_RUN] =
-            set_corners(&out->leaves[first / EXACT_RUN], chunk, middles + first,
-                        count - first < EXACT_RUN ? count - first : EXACT_RUN, sided);
+    for (uint32_t r = 0; r < exact_runs(count); r++) {
+        uint32_t triangles[EXACT_RUN];
+        for (uint32_t i = 0; i < EXACT_RUN; i++)
+            triangles[i] =
+                middles[EXACT_RUN * r + i < count ? EXACT_RUN * r + i : count - 1].number;
+        boxes[r] = set_corners(&out->leaves[r], chunk, triangles, sided);
+    }
     bake_exact_tree_build(&out->tree, exact_runs(count), boxes, memory);
 }
 

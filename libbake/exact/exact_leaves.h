@@ -1,4 +1,4 @@
-/* exact_leaves.h - chunks as secondary rays meet them; private to this folder.
+/* exact_leaves.h - chunks as secondary rays and devices meet them; private to this folder.
  *
  * Rays from hits go anywhere, one by one, and enter a tree many times. So it has its triangles'
  * corners in its leaves, eight triangles each, and these are tested in float at once. What no line
@@ -30,6 +30,11 @@ uint64_t bake_exact_leaves_scratch_bytes(uint32_t triangles);
  * they meet. memory: aligned to BSQ_ALIGNMENT, outlives *out. scratch: likewise aligned. */
 void bake_exact_leaves_build(const struct fmt_tris_chunk *chunk, bool sorted, bool sided,
                              void *memory, void *scratch, struct exact_leaves *out);
+
+/* Makes the leaf of EXACT_RUN triangles that follow each other in the file, without a tree. The
+ * last triangle stands for missing ones, whose numbers would be higher. */
+void bake_exact_leaf_set(const struct fmt_tris_chunk *chunk, uint32_t run, bool sided,
+                         struct exact_leaf *out);
 
 /* Several chunks, with a tree over their bounds. */
 struct exact_group {

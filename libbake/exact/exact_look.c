@@ -347,26 +347,6 @@ float bake_exact_lift(const struct bake_exact *exact)
     return (float)(most * 0x1p-22);
 }
 
-/* Returns the triangles of the largest chunk. */
-static uint32_t most_triangles(const struct bake_exact *exact)
-{
-    uint32_t most = 0;
-    for (uint32_t c = 0; c < exact->chunk_count; c++)
-        most = exact->chunks[c].triangle_count > most ? exact->chunks[c].triangle_count : most;
-    return most;
-}
-
-uint64_t bake_exact_chunk_bytes(const struct bake_exact *exact)
-{
-    return bake_exact_table_bytes(exact->chunk_count) +
-           bake_exact_leaves_bytes(most_triangles(exact));
-}
-
-void bake_exact_set_device(struct bake_exact *exact, struct bake_device *device)
-{
-    exact->device = device;
-}
-
 /* Makes areas for groups of the chunks, which need `all` bytes. Leaves none if the device fails and
  * the processor goes on. */
 static int allocate_areas(struct bake_exact_look *look, uint64_t all)
@@ -375,8 +355,8 @@ static int allocate_areas(struct bake_exact_look *look, uint64_t all)
     const uint64_t table = bake_exact_table_bytes(exact->chunk_count);
     if (!exact->device || !bake_device_has_areas(exact->device))
         return 0;
-    const int status = bake_device_make_areas(
-        exact->device, table + all, bake_exact_chunk_bytes(exact), &look->areas, &look->bytes);
+    const int status = bake_device_make_areas(exact->device, table + all, table + look->largest,
+                                              &look->areas, &look->bytes);
     look->bytes -= status == 0 ? table : 0;
     look->areas = status == 0 ? look->areas : 0;
     return status == BSQ_RETRY ? 0 : status;
@@ -388,7 +368,7 @@ static int allocate_groups(struct bake_exact_look *look)
     const struct bake_exact *exact = look->exact;
     struct bsq_ctx *ctx = exact->ctx;
     const uint64_t share = bsq_memory_share(ctx, "chunks for secondary rays", 3);
-    const uint32_t triangles = most_triangles(exact);
+    const uint32_t triangles = exact_most_triangles(exact);
     uint64_t all = 0;
     for (uint32_t c = 0; c < exact->chunk_count; c++)
         all += leaves_bytes(look, c);

@@ -28,7 +28,9 @@ struct bake_exact {
     struct bake_area_point *points; /* chunk_points of each chunk; NULL: they are not wanted */
     uint32_t chunk_points;
     struct bake_device *device; /* NULL: the processor traces all rays */
-    _Atomic uint64_t *loads;    /* number of chunks that were loaded, counted again each time */
+    uint32_t places;            /* for chunks in the device's memory, of place_bytes each */
+    uint64_t place_bytes;
+    _Atomic uint64_t *loads; /* number of chunks that were loaded, counted again each time */
 };
 
 /* Returns the number of values that the channels of a hit have. */
@@ -52,6 +54,15 @@ enum { EXACT_LOCKS = 256 /* over the hits */, EXACT_SLOTS_A_THREAD = 2 };
 static inline uint32_t exact_wave_slots(const struct bake_exact *exact)
 {
     return EXACT_SLOTS_A_THREAD * bsq_threads(exact->ctx);
+}
+
+/* Returns the triangles of the largest chunk. */
+static inline uint32_t exact_most_triangles(const struct bake_exact *exact)
+{
+    uint32_t most = 0;
+    for (uint32_t c = 0; c < exact->chunk_count; c++)
+        most = exact->chunks[c].triangle_count > most ? exact->chunks[c].triangle_count : most;
+    return most;
 }
 
 /* ---- a chunk in memory ---- */
@@ -107,7 +118,8 @@ struct exact_slots {
     struct exact_slot *slots;
     char *boxes; /* of each preparer, boxes_bytes for the runs of a chunk */
     uint64_t boxes_bytes;
-    void *memory; /* holds the buffers of all slots and preparers */
+    void *memory;   /* holds the buffers of all slots and preparers */
+    bool on_device; /* each chunk goes to the place of its slot on the device, too */
 };
 
 /* Allocates 1 to `most` slots, as many as fit `memory` bytes. Free them, also after a failure. */
@@ -123,6 +135,11 @@ void bake_exact_take_areas(const struct bake_exact *exact, uint32_t number,
  * of each EXACT_RUN triangles. Workers may prepare different slots at the same time. */
 int bake_exact_slot_prepare(const struct bake_exact *exact, const struct exact_slots *slots,
                             bool sampled, uint64_t index, unsigned worker);
+/* Sends a prepared slot to its place on the device, a group of its own. scratch: `bytes` of them,
+ * at least those of a leaf. Errors: those of bake_device_send(). */
+int bake_exact_slot_send(const struct bake_exact *exact, const struct exact_slot *slot,
+                         uint64_t index, void *scratch, uint64_t bytes, unsigned worker);
+
 /* The hit of a ray that wins so far. */
 struct exact_best {
     double t;
@@ -130,16 +147,6 @@ struct exact_best {
     float w1, w2; /* barycentric weights of the second and third corner */
     double reach; /* of the ray */
 };
-/* Returns whether a hit wins over another: that with the lower bake_ray_cost(), then the outer one,
- * then the one with the lower triangle number. */
-static inline bool exact_wins(double t, uint64_t triangle, double other_t, uint64_t other_triangle,
-                              double reach)
-{
-    const double cost = bake_ray_cost(t, reach), other_cost = bake_ray_cost(other_t, reach);
-    if (cost != other_cost)
-        return cost < other_cost;
-    return t != other_t ? t > other_t : triangle < other_triangle;
-}
 
 /* Limits that a hit must meet to count. */
 struct exact_limits {

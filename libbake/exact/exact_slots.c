@@ -1,6 +1,6 @@
 /* exact_slots.c - chunks in memory: divides the budget between them, their preparation and rays,
  * loads them, and builds the trees of their triangles. */
-#include "libbake/exact/exact_scene.h"
+#include "libbake/exact/exact_leaves.h"
 
 #include <string.h>
 
@@ -23,14 +23,11 @@ static uint64_t slots_larger(uint64_t a, uint64_t b)
 static struct sizes buffer_sizes(const struct bake_exact *exact)
 {
     struct sizes sizes = {0};
-    uint32_t triangles = 0;
-    for (uint32_t c = 0; c < exact->chunk_count; c++) {
-        const struct fmt_tris_chunk_info *chunk = &exact->chunks[c];
-        triangles = chunk->triangle_count > triangles ? chunk->triangle_count : triangles;
-    }
+    const uint32_t triangles = exact_most_triangles(exact);
     sizes.chunk = bsq_align_up(fmt_tris_load_size_max(exact->file), BSQ_ALIGNMENT);
     sizes.tree = bsq_align_up(bake_exact_tree_bytes(exact_runs(triangles)), BSQ_ALIGNMENT);
     sizes.boxes = bsq_align_up(exact_runs(triangles) * sizeof(struct exact_box), BSQ_ALIGNMENT);
+    sizes.boxes = slots_larger(sizes.boxes, sizeof(struct exact_leaf)); /* to be sent */
     const uint64_t normals = exact->smooth ? fmt_tris_normals_size_max(exact->file) : 0;
     sizes.slot = sizes.chunk + slots_larger(sizes.tree, bsq_align_up(normals, BSQ_ALIGNMENT));
     return sizes;
@@ -166,8 +163,11 @@ int bake_exact_slot_prepare(const struct bake_exact *exact, const struct exact_s
         bake_exact_take_areas(exact, slot->number, &slot->chunk);
     /* If there are fewer preparers than threads, there are as many as slots. */
     const uint64_t preparer = slots->preparers < bsq_threads(exact->ctx) ? index : worker;
-    build_tree(slot, (struct exact_box *)(void *)(slots->boxes + preparer * slots->boxes_bytes));
-    return 0;
+    void *boxes = slots->boxes + preparer * slots->boxes_bytes;
+    build_tree(slot, boxes);
+    if (slots->on_device)
+        status = bake_exact_slot_send(exact, slot, index, boxes, slots->boxes_bytes, worker);
+    return status == BSQ_RETRY ? 0 : status; /* the processor has all that it needs */
 }
 
 bool bake_exact_wound_backwards(const struct fmt_tris_chunk *chunk, uint32_t triangle)

@@ -7,6 +7,9 @@
  * a few of them again, after it has found a better hit: that costs less than to load the chunks
  * again after the last wave.
  *
+ * A device traces blocks instead of a thread, if there is one and it has the chunk
+ * (exact_device.c).
+ *
  * The tree of a chunk is built again for each batch that meets it: that takes a few milliseconds,
  * and keeping trees would take memory. */
 #include "libbake/exact/exact_scene.h"
@@ -121,13 +124,92 @@ static void get_bundle(const struct bake_ray_batch *batch, uint64_t first, struc
 static void trace_take_hit(struct bake_hit *hit, const struct exact_best *best)
 {
     if (hit->triangle != BAKE_NO_HIT &&
-        !exact_wins(best->t, best->triangle, hit->t, hit->triangle, best->reach))
+        !bk_wins(best->t, best->triangle, hit->t, hit->triangle, best->reach))
         return;
     hit->t = best->t;
     hit->triangle = best->triangle;
     hit->normal[0] = best->w1;
     hit->normal[1] = best->w2;
 }
+
+/* ---- on devices ---- */
+
+/* A block of bundles that a device traces. */
+struct asked {
+    const struct wave *wave;
+    const struct block *block;
+};
+
+/* Writes the rays of a bundle, with their hits so far. */
+static void get_first_rays(void *arg, uint32_t bundle, bk_first_ray *out)
+{
+    const struct asked *asked = arg;
+    const struct bake_ray_batch *batch = asked->wave->batch;
+    const uint32_t number = asked->wave->buckets->bundles[asked->block->begin + bundle];
+    const uint64_t first = (uint64_t)number * BAKE_RAY_BUNDLE, left = batch->count - first;
+    pthread_mutex_t *lock = &asked->wave->locks[number % EXACT_LOCKS];
+    memset(out, 0, BAKE_RAY_BUNDLE * sizeof *out);
+    pthread_mutex_lock(lock);
+    for (uint64_t i = 0; i < left && i < BAKE_RAY_BUNDLE; i++) {
+        const struct bake_hit *hit = &batch->hits[first + i];
+        memcpy(out[i].origin, batch->rays[first + i].origin, sizeof out[i].origin);
+        memcpy(out[i].direction, batch->rays[first + i].direction, sizeof out[i].direction);
+        out[i].reach = batch->reaches ? batch->reaches[first + i] : 0;
+        out[i].met = hit->triangle != BAKE_NO_HIT;
+        out[i].t = hit->t;
+    }
+    pthread_mutex_unlock(lock);
+}
+
+/* Takes the hits of a bundle in the chunk of a slot. */
+static void take_first_hits(const struct wave *wave, const struct exact_slot *slot, uint64_t entry,
+                            const bk_first_hit *hits)
+{
+    const struct bake_ray_batch *batch = wave->batch;
+    const uint32_t number = wave->buckets->bundles[entry];
+    const uint64_t first = (uint64_t)number * BAKE_RAY_BUNDLE;
+    pthread_mutex_t *lock = &wave->locks[number % EXACT_LOCKS];
+    unsigned found = 0;
+    pthread_mutex_lock(lock);
+    for (unsigned i = 0; i < BAKE_RAY_BUNDLE; i++) {
+        if (hits[i].triangle == BK_NO_TRIANGLE)
+            continue;
+        const struct exact_best best = {
+            .t = hits[i].t,
+            .triangle = wave->exact->chunks[slot->number].first_triangle + hits[i].triangle,
+            .w1 = hits[i].w1,
+            .w2 = hits[i].w2,
+            .reach = batch->reaches ? (double)batch->reaches[first + i] : 0};
+        trace_take_hit(&batch->hits[first + i], &best);
+        found |= 1u << i;
+    }
+    pthread_mutex_unlock(lock);
+    wave->buckets->found[entry] = (uint16_t)found;
+}
+
+static int trace_block_on_device(const struct wave *wave, const struct exact_slot *slot,
+                                 const struct block *block, unsigned worker)
+{
+    const struct exact_limits *limits = &wave->limits;
+    const bk_limits of = {.t_min = limits->t_min,
+                          .t_max = limits->t_max,
+                          .gap = limits->gap,
+                          .sides = limits->two_sided       ? 0
+                                   : limits->facing_origin ? (bk_uint)BK_AGAINST
+                                                           : (bk_uint)BK_ALONG,
+                          .from_reach = limits->from_reach};
+    struct asked asked = {wave, block};
+    const struct bake_first_rays rays = {
+        .get = get_first_rays, .arg = &asked, .bundles = (uint32_t)(block->end - block->begin)};
+    const bk_first_hit *hits;
+    BSQ_PASS(bake_device_first(wave->exact->device, block->slot * wave->exact->place_bytes, &of,
+                               &rays, &hits, worker));
+    for (uint64_t i = block->begin; i < block->end; i++, hits += BAKE_RAY_BUNDLE)
+        take_first_hits(wave, slot, i, hits);
+    return 0;
+}
+
+/* ---- blocks ---- */
 
 /* Traces the bundle of an entry of the buckets through the chunk of a slot. */
 static void trace_trace_bundle(struct wave *wave, const struct exact_slot *slot, uint64_t entry)
@@ -211,29 +293,32 @@ static int shade_block(const struct wave *wave, struct exact_slot *slot, const s
 
 static int run_block(void *arg, uint64_t index, unsigned worker)
 {
-    (void)worker;
     struct wave *wave = arg;
     const struct block *block = &wave->blocks[index];
     struct exact_slot *slot = &wave->memory->slots.slots[block->slot];
     if (wave->shading)
         return shade_block(wave, slot, block);
-    for (uint64_t i = block->begin; i < block->end; i++)
+    int status = BSQ_RETRY;
+    if (wave->memory->slots.on_device && bake_device_has_areas(wave->exact->device))
+        status = trace_block_on_device(wave, slot, block, worker);
+    for (uint64_t i = block->begin; status == BSQ_RETRY && i < block->end; i++)
         trace_trace_bundle(wave, slot, i);
     trace_add_progress(wave, block);
-    return 0;
+    return status == BSQ_RETRY ? 0 : status;
 }
 
 static int list_blocks(struct wave *wave)
 {
+    const uint64_t each = wave->memory->slots.on_device ? BAKE_FIRST_BUNDLES : BLOCK;
     wave->block_count = 0;
     for (uint32_t s = 0; s < wave->used; s++) {
         const uint64_t end = wave->buckets->starts[wave->memory->slots.slots[s].number + 1];
         for (uint64_t at = wave->buckets->starts[wave->memory->slots.slots[s].number]; at < end;
-             at += BLOCK) {
+             at += each) {
             BSQ_PASS(BSQ_GROW(wave->exact->ctx, "blocks of rays", wave->block_count + 1,
                               &wave->blocks, &wave->block_capacity));
             wave->blocks[wave->block_count++] =
-                (struct block){s, at, at + BLOCK < end ? at + BLOCK : end};
+                (struct block){s, at, at + each < end ? at + each : end};
         }
     }
     return 0;
@@ -265,11 +350,19 @@ static void read_ahead(const struct wave *wave)
         }
 }
 
+/* Returns whether a device traces the batch; it has a place for each slot then. */
+static bool on_device(const struct wave *wave)
+{
+    const struct bake_exact *exact = wave->exact;
+    return exact->device && !wave->batch->sampled && bake_device_has_areas(exact->device);
+}
+
 static int run_wave(struct wave *wave)
 {
     struct bsq_ctx *ctx = wave->exact->ctx;
     struct bake_exact_sweep *memory = wave->memory;
     wave->shading = false;
+    memory->slots.on_device = on_device(wave);
     for (uint32_t s = 0; s < wave->used; s++)
         memory->slots.slots[s].loaded = false;
     BSQ_PASS(bsq_parallel_for(ctx, wave->used, prepare_slot, wave));
@@ -320,8 +413,9 @@ static int allocate_chunks(const struct wave *wave)
 {
     struct bake_exact_sweep *memory = wave->memory;
     const uint64_t share = bsq_memory_share(wave->exact->ctx, "chunks of a wave", 2);
-    return bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact), share,
-                                   &memory->slots);
+    const uint32_t slots = exact_wave_slots(wave->exact), places = wave->exact->places;
+    return bake_exact_slots_create(wave->exact, on_device(wave) && places < slots ? places : slots,
+                                   share, &memory->slots);
 }
 
 static int trace_allocate(struct wave *wave, struct exact_buckets *buckets)

@@ -25,14 +25,10 @@ struct trace {
 static struct exact_range range_of(double t_max, const struct exact_best *best,
                                    const struct exact_limits *limits)
 {
-    const double reach = best->reach, t = best->t;
     double begin = limits->t_min, end = t_max;
-    if (best->triangle != BAKE_NO_HIT) {
-        const double least = t <= reach ? t : -t, most = t > reach || -t > reach ? fabs(t) : reach;
-        begin = begin > least ? begin : least;
-        end = end < most ? end : most;
-    }
-    return exact_range_of(begin, end, (float)reach);
+    if (best->triangle != BAKE_NO_HIT)
+        bk_narrow(best->t, best->reach, &begin, &end);
+    return exact_range_of(begin, end, (float)best->reach);
 }
 
 /* Tests a triangle, and takes its hit if that wins. */
@@ -53,7 +49,7 @@ static void walk_try_triangle(struct trace *trace, uint32_t triangle)
         fabs(crossing.t) < limits->gap)
         return;
     if (best->triangle != BAKE_NO_HIT &&
-        !exact_wins(crossing.t, number, best->t, best->triangle, best->reach))
+        !bk_wins(crossing.t, number, best->t, best->triangle, best->reach))
         return;
     if (!limits->two_sided) {
         const bool along = crossing.along != bake_exact_wound_backwards(chunk, triangle);

@@ -19,11 +19,11 @@ static const struct speed exact_speed = {0.95e-6, 0.0, 2.3e-6, 4.0e-6, 9.0e-6};
  * then seconds to open the card, and how many bytes of the grid reach it in a second. */
 static const struct speed gpu_speed = {1.0e-9, 1.0e-9, 0.92e-9, 2.7e-9, 10e-9};
 static const struct speed beside_gpu_speed = {0.1e-6, 0.0, 0.0, 0.0, 0.4e-6};
-/* Likewise of triangles, whose first rays the processor traces. The card's are aims: no card has
- * been measured. */
-static const struct speed exact_gpu_speed = {0.0, 0.0, 2.7e-9, 5.0e-9, 0.0};
-static const struct speed beside_exact_gpu_speed = {0.95e-6, 0.0, 0.0, 0.0, 9.0e-6};
-static const double gpu_seconds = 0.5, upload_bytes = 8e9;
+/* Likewise of triangles, whose hits the processor shades. The card's are aims, and what the bus
+ * takes of first rays: no card has been measured. */
+static const struct speed exact_gpu_speed = {10e-9, 0.0, 2.7e-9, 5.0e-9, 60e-9};
+static const struct speed beside_exact_gpu_speed = {0.65e-6, 0.0, 0.0, 0.0, 6.2e-6};
+static const double gpu_seconds = 0.5, upload_bytes = 8e9, triangle_bytes = 60;
 /* Of a triangle in a chunk that is loaded; of one in the tree that rays reach; of one in the chunks
  * that secondary rays need, which are all of the scan. */
 static const double load_seconds = 0.16e-6, reach_seconds = 0.65e-6, look_seconds = 0.16e-6;
@@ -75,6 +75,20 @@ static double scan_seconds(const struct share *share, const struct bake_scan *sc
     return ray_seconds(share, &grid_speed);
 }
 
+/* Likewise with a GPU. */
+static double gpu_scan_seconds(const struct share *share, const struct bake_scan *scan)
+{
+    const double threads = bsq_threads(share->job->ctx);
+    if (!scan->exact)
+        return ray_seconds(share, &gpu_speed) + ray_seconds(share, &beside_gpu_speed) / threads +
+               (double)scan->grid.map.size / upload_bytes;
+    const double triangles = (double)bake_exact_header(scan->exact)->triangle_count,
+                 beside = ray_seconds(share, &beside_exact_gpu_speed) +
+                          load_chunks_seconds(share, scan->exact);
+    return ray_seconds(share, &exact_gpu_speed) + beside / threads +
+           triangles * triangle_bytes / upload_bytes;
+}
+
 static struct share share_of(const struct bake_job *job, uint64_t texels)
 {
     const uint64_t samples = (uint64_t)job->options->samples * job->options->samples;
@@ -94,14 +108,10 @@ static double expect_seconds(const struct bake_job *job, uint64_t texels)
 bool bake_expect_processor_first(const struct bake_job *job, uint64_t texels)
 {
     const struct share share = share_of(job, texels);
-    const double threads = bsq_threads(job->ctx);
-    const struct bake_scan *scan = job->surface.scans;
-    const bool exact = scan->exact != NULL;
-    double gpu = gpu_seconds + ray_seconds(&share, exact ? &exact_gpu_speed : &gpu_speed);
-    gpu += ray_seconds(&share, exact ? &beside_exact_gpu_speed : &beside_gpu_speed) / threads;
-    gpu += exact ? load_chunks_seconds(&share, scan->exact) / threads
-                 : (double)scan->grid.map.size / upload_bytes;
-    return expect_seconds(job, texels) / threads <= gpu;
+    double gpu = gpu_seconds;
+    for (uint32_t i = 0; i < job->surface.scan_count; i++)
+        gpu += gpu_scan_seconds(&share, &job->surface.scans[i]);
+    return expect_seconds(job, texels) / bsq_threads(job->ctx) <= gpu;
 }
 
 /* Returns the texels that triangles of the low-poly mesh cover, without those that they share. */

@@ -101,9 +101,8 @@ uint64_t bake_expect_work(const struct bake_job *job);
  * to bake, or are baked as a whole. */
 int bake_arrange_triangles(struct bake_job *job);
 int bake_rasterise(struct bake_job *job);
-/* Opens the device that traces: there is one if the only scan is a grid, or has triangles and the
- * maps need rays from hits. If the user names none, it is the one that is expected to finish first.
- * texels: how many are baked. */
+/* Opens the device that traces, unless there are several scans and some are grids. If the user
+ * names none, it is the one that is expected to finish first. texels: how many are baked. */
 int bake_open_device(struct bake_job *job, uint64_t texels);
 /* Traces all tiles that have rasters. */
 int bake_trace_maps(struct bake_job *job);

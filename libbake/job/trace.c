@@ -66,27 +66,33 @@ static uint32_t most_texels(const struct bake_job *job)
     return most * most;
 }
 
+/* Lets the device trace rays through triangles, if it is a GPU. */
+static int share_device(const struct bake_job *job)
+{
+    uint64_t bytes = 0;
+    int status = BSQ_RETRY;
+    if (bake_device_has_areas(job->device))
+        status = bake_device_make_wave(job->device, job->traced.place_bytes, &bytes);
+    for (uint32_t s = 0; s < job->surface.scan_count && status == 0; s++)
+        bake_exact_set_device(job->surface.scans[s].exact, job->device, bytes);
+    return status == BSQ_RETRY ? 0 : status;
+}
+
 int bake_open_device(struct bake_job *job, uint64_t texels)
 {
     const char *name = job->options->device ? job->options->device : "";
     const struct bake_scan *scan = job->surface.scans;
-    const bool looks = bk_ray_count(&job->surface.params) > 0;
-    if (scan->exact && !looks && *name && strcmp(name, "auto") != 0 && strcmp(name, "cpu") != 0)
-        return bsq_fail(job->ctx, BSQ_EUSAGE,
-                        "%s: of triangles, only rays from hits are traced on %s: choose ao, bent "
-                        "or thickness, or the cpu",
-                        scan->path, name);
-    if (job->surface.scan_count > 1 || (scan->exact && !looks)) {
-        unsigned threads = bsq_threads(job->ctx);
-        snprintf(job->report->device, sizeof job->report->device, "cpu, %u thread%s%s", threads,
-                 threads == 1 ? "" : "s", job->surface.grids ? "" : ", exact");
+    if (job->surface.scan_count > 1 && job->surface.grids) {
+        const unsigned threads = bsq_threads(job->ctx);
+        snprintf(job->report->device, sizeof job->report->device, "cpu, %u thread%s", threads,
+                 threads == 1 ? "" : "s");
         return 0;
     }
     job->traced = (struct bake_scene){.device_memory = job->options->gpu_memory_bytes,
                                       .params = job->surface.params};
-    if (scan->exact) {
-        job->traced.chunk_bytes = bake_exact_chunk_bytes(scan->exact);
-    } else {
+    for (uint32_t s = 0; s < job->surface.scan_count && scan->exact; s++)
+        bake_exact_add_needs(job->surface.scans[s].exact, &job->traced);
+    if (!scan->exact) {
         job->traced.grid = &scan->grid;
         job->traced.triangles = job->triangles;
         job->traced.triangle_count = job->triangle_count;
@@ -95,9 +101,7 @@ int bake_open_device(struct bake_job *job, uint64_t texels)
     if (!*name)
         name = bake_expect_processor_first(job, texels) ? "cpu" : "auto";
     BSQ_PASS(bake_device_open(job->ctx, name, &job->traced, &job->device));
-    if (scan->exact)
-        bake_exact_set_device(scan->exact, job->device);
-    return 0;
+    return scan->exact ? share_device(job) : 0;
 }
 
 /* Returns whether the scan and the low-poly mesh have about the same size and place, so that longer
@@ -305,8 +309,8 @@ void bake_end_tracing(struct bake_job *job)
 {
     if (job->device)
         note_device(job);
-    if (job->device && !job->traced.grid)
-        bake_exact_set_device(job->surface.scans->exact, NULL);
+    for (uint32_t s = 0; s < job->surface.scan_count && job->device && !job->traced.grid; s++)
+        bake_exact_set_device(job->surface.scans[s].exact, NULL, 0);
     bake_device_close(job->device);
     job->device = NULL;
     bsq_free(job->ctx, job->triangles);

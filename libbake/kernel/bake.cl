@@ -111,4 +111,17 @@ BK_KERNEL bake_meet(const BK_GLOBAL bk_float4 *BK_RESTRICT area, bk_params param
                  (BK_GLOBAL float *)distances + (bk_ulong)point * lengths);
 }
 
+/* Traces first rays through a chunk that is in an area as a group of its own, from byte 64 * place
+ * on; work item (x, y) is ray 32 y + x. values: of `count` rays the hits, then the rays. */
+BK_KERNEL bake_first(const BK_GLOBAL bk_float4 *BK_RESTRICT area, bk_uint place, bk_limits limits,
+                     bk_uint count, BK_GLOBAL bk_first_hit *BK_RESTRICT values)
+{
+    const bk_uint ray = 32u * bk_work_y() + bk_work_x();
+
+    if (bk_work_x() >= 32u || ray >= count)
+        return;
+    bk_meet_first(area + (bk_ulong)place * BK_CHUNK_UNIT, &limits,
+                  (const BK_GLOBAL bk_first_ray *)(values + count) + ray, values + ray);
+}
+
 #endif

@@ -130,6 +130,44 @@ BK_FN bk_uint bk_cross_triangle(const bk_shear *s, bk_vec3 a, bk_vec3 b, bk_vec3
     return 1u;
 }
 
+/* ---- hits of first rays ---- */
+
+/* Returns the absolute value of a parameter of a line. */
+BK_FN double bk_size(double t)
+{
+    return t < 0.0 ? -t : t;
+}
+
+/* Returns how far a hit is on the way of a ray, which is in the unit of t: from t = reach inwards,
+ * against its direction, and from there outwards. So up to its reach the outermost hit counts, and
+ * beyond, on either side, the one with the smallest |t|. */
+BK_FN double bk_ray_cost(double t, double reach)
+{
+    return t <= reach ? reach - t : reach + t;
+}
+
+/* Returns whether a hit wins over another: that with the lower bk_ray_cost(), then the outer one,
+ * then the one with the lower triangle number. */
+BK_FN bk_uint bk_wins(double t, bk_ulong triangle, double other_t, bk_ulong other_triangle,
+                      double reach)
+{
+    const double cost = bk_ray_cost(t, reach), other_cost = bk_ray_cost(other_t, reach);
+
+    if (cost != other_cost)
+        return cost < other_cost ? 1u : 0u;
+    return (t != other_t ? t > other_t : triangle < other_triangle) ? 1u : 0u;
+}
+
+/* Narrows a range of parameters to those of hits that may win over one at t. */
+BK_FN void bk_narrow(double t, double reach, double *begin, double *end)
+{
+    const double least = t <= reach ? t : -t;
+    const double most = t > reach || -t > reach ? bk_size(t) : reach;
+
+    *begin = *begin > least ? *begin : least;
+    *end = *end < most ? *end : most;
+}
+
 #endif
 
 #endif

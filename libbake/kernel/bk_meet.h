@@ -1,8 +1,9 @@
-/* bk_meet.h - secondary rays through triangles, on devices.
+/* bk_meet.h - rays through triangles, on devices.
  *
  * In: a group of chunks, in an area of the device's memory: an array of struct bk_chunk, the first
  * of which has the tree over the chunks' bounds, then the chunks; and the nodes and leaves that
- * they point at. Out: whether a ray hits any triangle, or the distance of its nearest hit.
+ * they point at. Out: of a secondary ray, whether it hits any triangle, or the distance of its
+ * nearest hit; of a first ray through one chunk, the hit that wins by bk_wins().
  *
  * Nodes are 2 x 3 x 8 floats: lower and upper bounds, by axis, of eight children; those of missing
  * ones are empty. Leaves have eight triangles: 3 x 3 x 8 floats by corner and axis, then a word
@@ -33,17 +34,44 @@ typedef struct bk_chunk {
 #define BK_NODE_SIZE  12
 #define BK_LEAF_SIZE  20
 
+/* Which hits of first rays count, as in struct exact_limits. */
+typedef struct bk_limits {
+    double t_min, t_max, gap;
+    bk_uint sides; /* as below */
+    bk_uint from_reach;
+} bk_limits;
+
+/* A first ray, and its hit so far in other chunks. */
+typedef struct bk_first_ray {
+    float origin[3], direction[3], reach;
+    bk_uint met; /* not 0: there is such a hit, at t */
+    double t;
+} bk_first_ray;
+
+/* The hit of a first ray. */
+typedef struct bk_first_hit {
+    double t;
+    float w1, w2;     /* barycentric weights of the second and third corner */
+    bk_uint triangle; /* number in the chunk, whose leaves have its order; BK_NO_TRIANGLE: none */
+    bk_uint padding;
+} bk_first_hit;
+
 /* A ray on its way. */
 typedef struct bk_meeting {
     bk_line line;
     bk_shear shear;
     float origin[3], slopes[3]; /* of the shear, in float */
-    double nearest;             /* hits beyond this do not count */
-    float end;                  /* that, rounded up */
-    float far;     /* largest coordinate of the chunk's corners, relative to the ray's origin */
-    bk_uint any;   /* the first hit that is found will do */
+    double nearest;             /* of a secondary ray: hits beyond this do not count */
+    float begin, end; /* hits count between these at most: 0 and that, or those of a first ray */
+    float far;        /* largest coordinate of the chunk's corners, relative to the ray's origin */
+    bk_uint any;      /* the first hit that is found will do */
     bk_uint sides; /* 0: both sides of triangles count; BK_ALONG, BK_AGAINST: those that face so */
     bk_uint found;
+    bk_uint first; /* not 0: it is a first ray, and has the rest, too */
+    bk_limits limits;
+    double reach;
+    bk_uint met;      /* not 0: there is a hit so far */
+    bk_first_hit hit; /* that one */
 } bk_meeting;
 
 enum { BK_ALONG = 1, BK_AGAINST };
@@ -54,16 +82,35 @@ BK_FN void bk_set_nearest(bk_meeting *m, double t)
     m->end = (float)(t + t * BK_LINE_ROUNDING);
 }
 
+/* Sets where hits of a first ray may win, rounded outwards. */
+BK_FN void bk_set_range(bk_meeting *m)
+{
+    double begin = m->limits.t_min, end = m->limits.t_max;
+
+    if (m->met)
+        bk_narrow(m->hit.t, m->reach, &begin, &end);
+    m->begin = (float)(begin - bk_size(begin) * BK_LINE_ROUNDING);
+    m->end = (float)(end + bk_size(end) * BK_LINE_ROUNDING);
+}
+
 /* ---- nodes ---- */
 
 /* Adds a child of a node to `bits` if the line crosses it, and keeps the nearest one. */
 BK_FN void bk_meet_box(const bk_meeting *m, float in, float out, bk_uint child, bk_uint *bits,
                        bk_uint *nearest, float *least)
 {
-    const float distance = in * BK_LINE_LESS;
+    float distance = in * BK_LINE_LESS, last = out * BK_LINE_MORE;
 
-    if (!(distance <= bk_lower(out * BK_LINE_MORE, m->end)))
+    if (m->first) { /* parameters may be negative */
+        const float reach = (float)m->reach;
+        in = bk_upper(bk_lower(distance, in * BK_LINE_MORE), m->begin);
+        last = bk_lower(bk_upper(last, out * BK_LINE_LESS), m->end);
+        if (!(in <= last))
+            return;
+        distance = bk_upper(in - reach, reach - last);
+    } else if (!(distance <= bk_lower(last, m->end))) {
         return;
+    }
     if (*bits == 0u || distance < *least) {
         *nearest = child;
         *least = distance;
@@ -75,25 +122,27 @@ BK_FN void bk_meet_box(const bk_meeting *m, float in, float out, bk_uint child, 
 BK_FN bk_uint bk_meet_node(const bk_meeting *m, const BK_GLOBAL bk_float4 *node, bk_uint *nearest)
 {
     const bk_line *l = &m->line;
+    const float most = 3.402823466e38f, from = m->first ? -most : 0.0f,
+                to = m->first ? most : m->end;
     float least = 0.0f;
     bk_uint bits = 0, part, k;
 
     for (part = 0; part < 2u; part++) {
         bk_float4 in, out;
-        in.x = in.y = in.z = in.w = 0.0f;
-        out.x = out.y = out.z = out.w = m->end;
+        in.x = in.y = in.z = in.w = from;
+        out.x = out.y = out.z = out.w = to;
         for (k = 0; k < 3u; k++) {
             const bk_float4 a = node[(l->near[k] * 3u + k) * 2u + part];
             const bk_float4 b = node[(l->far[k] * 3u + k) * 2u + part];
-            const float from = l->near_origin[k], to = l->far_origin[k], by = l->inverse[k];
-            in.x = bk_upper(in.x, (a.x - from) * by);
-            in.y = bk_upper(in.y, (a.y - from) * by);
-            in.z = bk_upper(in.z, (a.z - from) * by);
-            in.w = bk_upper(in.w, (a.w - from) * by);
-            out.x = bk_lower(out.x, (b.x - to) * by);
-            out.y = bk_lower(out.y, (b.y - to) * by);
-            out.z = bk_lower(out.z, (b.z - to) * by);
-            out.w = bk_lower(out.w, (b.w - to) * by);
+            const float near = l->near_origin[k], far = l->far_origin[k], by = l->inverse[k];
+            in.x = bk_upper(in.x, (a.x - near) * by);
+            in.y = bk_upper(in.y, (a.y - near) * by);
+            in.z = bk_upper(in.z, (a.z - near) * by);
+            in.w = bk_upper(in.w, (a.w - near) * by);
+            out.x = bk_lower(out.x, (b.x - far) * by);
+            out.y = bk_lower(out.y, (b.y - far) * by);
+            out.z = bk_lower(out.z, (b.z - far) * by);
+            out.w = bk_lower(out.w, (b.w - far) * by);
         }
         bk_meet_box(m, in.x, out.x, 4u * part, &bits, nearest, &least);
         bk_meet_box(m, in.y, out.y, 4u * part + 1u, &bits, nearest, &least);
@@ -143,7 +192,7 @@ BK_FN bk_uint bk_may_meet(const bk_meeting *m, bk_vec3 a, bk_vec3 b, bk_vec3 c)
                   above = u >= slack || v >= slack || w >= slack;
 
     return !((below && above) || m->end <= bk_lower(bk_lower(ta, tb), tc) - (off + least) ||
-             bk_upper(bk_upper(ta, tb), tc) + (off + least) <= 0.0f);
+             bk_upper(bk_upper(ta, tb), tc) + (off + least) <= m->begin);
 }
 
 /* Returns a bit mask of the triangles of a leaf that the line may hit. */
@@ -189,9 +238,34 @@ BK_FN bk_vec3 bk_leaf_corner(const bk_meeting *m, const BK_GLOBAL float *leaf, b
     return bk_v3(at[8u * m->shear.k[0]], at[8u * m->shear.k[1]], at[8u * m->shear.k[2]]);
 }
 
-/* Tests the triangles of a leaf, and takes the nearest hit. */
-BK_FN void bk_meet_leaf(bk_meeting *m, const BK_GLOBAL bk_float4 *leaf)
+/* Returns whether a hit of a triangle with this number counts, if it is on the right side. */
+BK_FN bk_uint bk_counts(const bk_meeting *m, double t, bk_uint triangle)
 {
+    if (!m->first)
+        return t >= 0.0 && t <= m->nearest;
+    return t >= m->limits.t_min && t <= m->limits.t_max && !(bk_size(t) < m->limits.gap) &&
+           (!m->met || bk_wins(t, triangle, m->hit.t, m->hit.triangle, m->reach));
+}
+
+BK_FN void bk_take_hit(bk_meeting *m, const bk_line_hit *hit, bk_uint triangle)
+{
+    m->found = 1u;
+    if (!m->first) {
+        bk_set_nearest(m, hit->t);
+        return;
+    }
+    m->met = 1u;
+    m->hit.t = hit->t;
+    m->hit.w1 = hit->w1;
+    m->hit.w2 = hit->w2;
+    m->hit.triangle = triangle;
+    bk_set_range(m);
+}
+
+/* Tests the triangles of the leaf with a number, and takes the hit that wins. */
+BK_FN void bk_meet_leaf(bk_meeting *m, const BK_GLOBAL bk_float4 *leaves, bk_uint number)
+{
+    const BK_GLOBAL bk_float4 *leaf = leaves + (bk_ulong)number * BK_LEAF_SIZE;
     const BK_GLOBAL float *corners = (const BK_GLOBAL float *)leaf;
     bk_uint bits = bk_leaf_candidates(m, leaf);
 
@@ -202,15 +276,14 @@ BK_FN void bk_meet_leaf(bk_meeting *m, const BK_GLOBAL bk_float4 *leaf)
         if (!bk_cross_triangle(&m->shear, bk_leaf_corner(m, corners, 0, lane),
                                bk_leaf_corner(m, corners, 1, lane),
                                bk_leaf_corner(m, corners, 2, lane), &hit) ||
-            !(hit.t >= 0.0 && hit.t <= m->nearest))
+            !bk_counts(m, hit.t, 8u * number + lane))
             continue;
         if (m->sides) {
             const bk_uint backwards = ((const BK_GLOBAL bk_uint *)leaf)[72] >> lane & 1u;
             if ((hit.along != backwards ? BK_ALONG : BK_AGAINST) != m->sides)
                 continue;
         }
-        m->found = 1u;
-        bk_set_nearest(m, hit.t);
+        bk_take_hit(m, &hit, 8u * number + lane);
     }
 }
 
@@ -223,7 +296,7 @@ typedef struct bk_meet_stack {
     bk_uint node[2 * BK_CHUNK_LEVELS], rest[2 * BK_CHUNK_LEVELS], depth;
 } bk_meet_stack;
 
-/* Finds the nearest hit of a ray, or any, in the group of an area. */
+/* Finds the hit of a ray that wins, or any, in the group of an area. */
 BK_FN void bk_meet_group(bk_meeting *m, const BK_GLOBAL bk_float4 *area)
 {
     const BK_GLOBAL bk_chunk *group = (const BK_GLOBAL bk_chunk *)area, *tree = group;
@@ -238,7 +311,7 @@ BK_FN void bk_meet_group(bk_meeting *m, const BK_GLOBAL bk_float4 *area)
         if (tree != group && level == 0u) {
             const BK_GLOBAL bk_float4 *leaves = area + (bk_ulong)tree->leaves * BK_CHUNK_UNIT;
             for (; bits; bits &= bits - 1u)
-                bk_meet_leaf(m, leaves + (bk_ulong)(8u * node + bk_lowest(bits)) * BK_LEAF_SIZE);
+                bk_meet_leaf(m, leaves, 8u * node + bk_lowest(bits));
             if (m->any && m->found)
                 return;
         }
@@ -270,10 +343,8 @@ BK_FN void bk_meet_group(bk_meeting *m, const BK_GLOBAL bk_float4 *area)
     }
 }
 
-/* Prepares a ray. Returns 0 if it has no direction or is not finite. limit: the largest distance
- * that counts. */
-BK_FN bk_uint bk_meeting_set(bk_meeting *m, const float from[3], const float direction[3],
-                             float limit)
+/* Prepares a ray. Returns 0 if it has no direction or is not finite. */
+BK_FN bk_uint bk_meeting_set(bk_meeting *m, const float from[3], const float direction[3])
 {
     bk_uint k;
 
@@ -284,8 +355,7 @@ BK_FN bk_uint bk_meeting_set(bk_meeting *m, const float from[3], const float dir
         m->origin[k] = (float)m->shear.origin[k];
         m->slopes[k] = (float)m->shear.s[k];
     }
-    bk_set_nearest(m, (double)limit);
-    m->far = 0.0f;
+    m->begin = m->far = 0.0f;
     m->found = 0;
     return 1u;
 }
@@ -318,13 +388,46 @@ BK_FN void bk_meet_from(const BK_GLOBAL bk_float4 *area, const bk_params *params
     direction[0] = bk_lane(d.x, 0);
     direction[1] = bk_lane(d.y, 0);
     direction[2] = bk_lane(d.z, 0);
-    if (!bk_meeting_set(&m, at, direction, m.any ? rays.limit : bk_min(*distances, rays.limit)))
+    if (!bk_meeting_set(&m, at, direction))
         return;
+    m.first = 0;
+    bk_set_nearest(&m, (double)(m.any ? rays.limit : bk_min(*distances, rays.limit)));
     bk_meet_group(&m, area);
     if (m.found && m.any)
         bk_or(&hidden[number / 32u], 1u << number % 32u);
     else if (m.found)
         *distances = (float)m.nearest;
+}
+
+/* ---- first rays ---- */
+
+/* Finds the hit of a first ray that wins in the chunk of an area's group, and over the ray's hit so
+ * far, unless only its number could tell: that of a hit in another chunk is not known here. */
+BK_FN void bk_meet_first(const BK_GLOBAL bk_float4 *area, const bk_limits *limits,
+                         const BK_GLOBAL bk_first_ray *stored, BK_GLOBAL bk_first_hit *out)
+{
+    const bk_first_ray ray = *stored;
+    bk_meeting m;
+
+    m.first = 1u;
+    m.any = 0;
+    m.sides = limits->sides;
+    m.limits = *limits;
+    m.reach = (double)ray.reach;
+    m.met = ray.met;
+    m.hit.t = ray.t;
+    m.hit.w1 = m.hit.w2 = 0.0f;
+    m.hit.triangle = BK_NO_TRIANGLE;
+    if (limits->from_reach && m.reach < m.limits.t_max)
+        m.limits.t_max = m.reach;
+    if (bk_meeting_set(&m, ray.origin, ray.direction)) {
+        bk_set_range(&m);
+        bk_meet_group(&m, area);
+    }
+    out->t = m.hit.t;
+    out->w1 = m.hit.w1;
+    out->w2 = m.hit.w2;
+    out->triangle = m.hit.triangle;
 }
 
 #endif

@@ -7,6 +7,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "libbake/kernel/bk_line.h"
 #include "libbake/kernel/bk_secondary.h"
 
 /* ---- rays ---- */
@@ -36,14 +37,6 @@ struct bake_footprint {
     float step[2][3];
 };
 
-/* Returns how far a hit is on the way of a ray, which is in the unit of t: from t = reach inwards,
- * against its direction, and from there outwards. So up to its reach the outermost hit counts, and
- * beyond, on either side, the one with the smallest |t|. */
-static inline double bake_ray_cost(double t, double reach)
-{
-    return t <= reach ? reach - t : reach + t;
-}
-
 /* Rays of a batch with numbers from a multiple of this on are traced together. They should be
  * neighbours; rays without a direction may fill the rest. */
 enum { BAKE_RAY_BUNDLE = 16 };
@@ -53,7 +46,7 @@ struct bake_ray_batch {
     struct bake_hit *hits; /* out */
     uint64_t count;        /* of rays and hits; below 2^32 */
     double t_min, t_max;   /* range of the hits' t */
-    const float *reaches;  /* of each ray, see bake_ray_cost(); NULL: 0 */
+    const float *reaches;  /* of each ray, see bk_ray_cost(); NULL: 0 */
     bool from_reach;       /* hits with a larger t than the reach do not count */
     double gap;            /* hits nearer to t = 0 do not count */
     bool distances_only;   /* do not evaluate normals and colours */

@@ -140,13 +140,14 @@ int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
     int status = 0;
     *out = (struct bake_surface){.ctx = ctx};
     const uint32_t count = options->more_scan_count + 1;
-    if (count > 1 && !on_processor(options))
-        BSQ_TRY(bsq_fail(ctx, BSQ_EUSAGE, "several scans are traced on the cpu, not on %s",
-                         options->device));
     BSQ_TRY(BSQ_CALLOC(ctx, "scans", count, &out->scans));
     for (; out->scan_count < count; out->scan_count++)
         BSQ_TRY(surface_open_scan(out, options, out->scan_count));
     join_scans(out);
+    if (count > 1 && out->grids && !on_processor(options))
+        BSQ_TRY(bsq_fail(ctx, BSQ_EUSAGE,
+                         "several scans, of which some are grids, are traced on the cpu, not on %s",
+                         options->device));
 done:
     if (status < 0)
         bake_surface_close(out);

@@ -82,13 +82,13 @@ _Static_assert(offsetof(struct bake_hit, facet) - offsetof(struct bake_hit, norm
                    6 * sizeof(float) + sizeof(uint32_t),
                "what a hit carries is compared as bytes");
 
-/* Returns whether a hit of a ray comes before another one, as exact_wins() does. Of hits in the
+/* Returns whether a hit of a ray comes before another one, as bk_wins() does. Of hits in the
  * same place, any is as good, but it must not depend on the order of scans. size: of channels. */
 static bool comes_before(const struct bake_hit *hit, const float *channels,
                          const struct bake_hit *other, const float *other_channels, size_t size,
                          double reach)
 {
-    const double cost = bake_ray_cost(hit->t, reach), other_cost = bake_ray_cost(other->t, reach);
+    const double cost = bk_ray_cost(hit->t, reach), other_cost = bk_ray_cost(other->t, reach);
     if (hit->triangle == BAKE_NO_HIT || other->triangle == BAKE_NO_HIT)
         return hit->triangle != BAKE_NO_HIT;
     if (cost != other_cost)

@@ -172,8 +172,6 @@ for scan in plain.nvdb box.tris; do
 done
 $bake box.tris low.obj -o a.exr --scan sampling=nearest
 refused 64 "$p box.tris has triangles: nearest-voxel sampling needs a voxel grid"
-$bake box.tris low.obj -o a.exr --device opencl:0
-refused 64 "$p box.tris: of triangles, only rays from hits are traced on opencl:0: choose ao, bent or thickness, or the cpu"
 head -c 5000 plain.nvdb >short.nvdb
 $bake short.nvdb low.obj -o a.exr
 refused_like 65 '^bisque-bake: short\.nvdb: truncated'

@@ -141,7 +141,7 @@ for parts in "left.nvdb right.nvdb" "left.nvdb right.tris"; do
     done
 done
 $bake $usual $maps --device cuda left.nvdb right.nvdb groove.obj -o 'cuda_<MAP>.exr'
-refused 64 "bisque-bake: several scans are traced on the cpu, not on cuda"
+refused 64 "bisque-bake: several scans, of which some are grids, are traced on the cpu, not on cuda"
 
 # ---- objects that see some scans ----
 

@@ -8,7 +8,7 @@
 #include <stdint.h>
 
 #include "libbake/device/cuda/cuda_api.h"
-#include "libbake/kernel/bk_types.h"
+#include "libbake/kernel/bk_meet.h"
 
 /* Exported functions must have the types that the program calls them with. */
 #define DECLARE(name, symbol, parameters) CUresult symbol parameters;
@@ -90,13 +90,14 @@ enum { GRID_ARRAYS = 10 };
 
 /* Arguments of a launch: those of bake_patch(), and some that the other kernels have. */
 struct arguments {
-    int kernel;       /* 0: bake_patch(), 1: bake_look(), 2: bake_rays(), 3: bake_meet() */
-    CUdeviceptr area; /* of bake_meet(), whose state is `texels` */
+    int kernel;       /* number in the list of fake_kernel.c */
+    CUdeviceptr area; /* of bake_meet() and bake_first(), whose rays are `texels` */
     CUdeviceptr arrays[GRID_ARRAYS], triangles, samples, points, found, texels;
     bk_params params;
     bk_patch patch;
     bk_batch batch;
-    bk_uint stage, point_count;
+    bk_uint stage, point_count, place;
+    bk_limits limits;
     bk_single_rays rays;
 };
 

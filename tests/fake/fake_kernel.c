@@ -36,7 +36,10 @@ static const struct kernel {
                 {PLACES_OF_ARRAYS, PLACE(params), PLACE(rays), PLACE(samples), PLACE(texels)}},
                {"bake_meet",
                 ".entry bake_meet(",
-                {PLACE(area), PLACE(params), PLACE(point_count), PLACE(texels)}}};
+                {PLACE(area), PLACE(params), PLACE(point_count), PLACE(texels)}},
+               {"bake_first",
+                ".entry bake_first(",
+                {PLACE(area), PLACE(place), PLACE(limits), PLACE(point_count), PLACE(texels)}}};
 enum { KERNELS = sizeof kernels / sizeof *kernels };
 
 #define ARRAY(type, address) ((address) ? (type *)fake_device_memory(address, 1) : NULL)
@@ -108,6 +111,18 @@ static void meet_ray(const struct arguments *a, bk_uint ray, bk_uint point)
                      hidden + point * words, (float *)(void *)distances + point * lengths);
 }
 
+/* Does what bake_first() does for a work item. */
+static void meet_first(const struct arguments *a, bk_uint x, bk_uint y)
+{
+    const size_t count = a->point_count, ray = 32 * (size_t)y + x;
+    bk_first_hit *hits = ARRAY(bk_first_hit, a->texels);
+
+    if (x < 32 && ray < count)
+        bk_meet_first(ARRAY(const bk_float4, a->area) + (size_t)a->place * BK_CHUNK_UNIT,
+                      &a->limits, (const bk_first_ray *)(const void *)(hits + count) + ray,
+                      hits + ray);
+}
+
 static void run_c(const struct work *work)
 {
     const struct arguments *a = &work->arguments;
@@ -122,6 +137,8 @@ static void run_c(const struct work *work)
                 run_texel(a, &grid, x, y);
             else if (a->kernel == 3)
                 meet_ray(a, x, y);
+            else if (a->kernel == 4)
+                meet_first(a, x, y);
             else if (a->kernel == 1)
                 run_ray(a, &grid, x, y);
             else
@@ -178,9 +195,10 @@ CUresult cuModuleLoadDataEx(CUmodule *module, const void *image, unsigned count,
     for (unsigned i = 0; i < count; i++)
         if (options[i] == CU_JIT_ERROR_LOG_BUFFER)
             log = values[i];
-    if (!target || atoi(target + strlen(".target sm_")) > fake.capability ||
-        !entry_fits(text, &kernels[0]) || !entry_fits(text, &kernels[1]) ||
-        !entry_fits(text, &kernels[2]) || !entry_fits(text, &kernels[3])) {
+    bool fits = target && atoi(target + strlen(".target sm_")) <= fake.capability;
+    for (int i = 0; i < KERNELS; i++)
+        fits = fits && entry_fits(text, &kernels[i]);
+    if (!fits) {
         if (log)
             strcpy(log, "ptxas fatal\nnot for this GPU");
         return INVALID_PTX;

@@ -19,9 +19,9 @@ enum { BLOCK = 128, BLOCK_WIDTH = 8 };
 /* Registers of a thread. Fewer of them allow more warps, which hide the memory's latency. The
  * compiler would take about 183 for a texel, and 133 for a ray; what is spilled is not used in the
  * innermost loops. Rays were as fast with 72 to 96 registers, and slower with 64 and 128. For rays
- * through triangles it would take 128; with 96 it spills half as much as with 80. */
+ * from hits through triangles it would take 128; with 96 it spills half as much as with 80. */
 static const unsigned registers[BAKE_KERNEL_COUNT] = {
-    [BAKE_PATCH] = 128, [BAKE_LOOK] = 80, [BAKE_MEET] = 96};
+    [BAKE_PATCH] = 128, [BAKE_LOOK] = 80, [BAKE_MEET] = 96, [BAKE_FIRST] = 128};
 
 /* A stream, and events at the borders of its steps: step i is between events i and i + 1. */
 struct stream {

@@ -1,8 +1,8 @@
-/* areas.c - chunks of triangles in a device's memory, and rays from viewpoints through them.
+/* areas.c - chunks of triangles in a device's memory, and rays through them.
  *
  * A scan may be larger than the device. So its chunks pass through areas in groups: one area is
- * filled while rays meet what is in the other. The states of rays stay with the host between
- * groups. */
+ * filled while rays from viewpoints meet what is in the other. The states of rays stay with the
+ * host between groups. First rays have an area of their own, for the chunks of a wave. */
 #include <stdio.h>
 #include <string.h>
 
@@ -66,6 +66,26 @@ int bake_gpu_make_areas(struct bake_gpu *gpu, uint64_t whole, uint64_t least, ch
     return bake_gpu_end_worker(gpu, gpu->streams, failure, why);
 }
 
+int bake_gpu_make_wave(struct bake_gpu *gpu, uint64_t least, char *why)
+{
+    struct bake_failure failure = BAKE_NO_FAILURE;
+    if (gpu->shares_memory) {
+        const uint64_t share = bsq_memory_share(gpu->ctx, "chunks on the device", 8),
+                       most = share > least ? share : least;
+        gpu->wave_bytes = most < gpu->wave_bytes ? most : gpu->wave_bytes;
+        const int status = bake_gpu_reserve(gpu, "chunks on the device", gpu->wave_bytes);
+        if (status < 0) {
+            snprintf(why, BAKE_WHY_BYTES, "%s", bsq_error(gpu->ctx));
+            return status;
+        }
+    }
+    if (gpu->driver->attach)
+        failure = gpu->driver->attach(gpu);
+    if (failure.code == 0)
+        failure = gpu->driver->allocate(gpu, gpu->wave_bytes, &gpu->areas[BAKE_WAVE]);
+    return bake_gpu_end_worker(gpu, gpu->streams, failure, why);
+}
+
 /* Sends what is in the host memory of a stream, and waits. */
 static struct bake_failure send_piece(struct bake_gpu *gpu, struct bake_stream *stream,
                                       uint32_t area, uint64_t at, uint64_t bytes)
@@ -108,7 +128,7 @@ int bake_gpu_send(struct bake_gpu *gpu, uint32_t area, uint64_t at, const void *
     return bake_gpu_end_worker(gpu, &gpu->streams[worker], failure, why);
 }
 
-/* ---- rays ---- */
+/* ---- rays from viewpoints ---- */
 
 uint32_t bake_gpu_viewpoints(const struct bk_params *params)
 {
@@ -121,9 +141,13 @@ static uint64_t state_bytes(const struct bk_params *params)
     return bk_state_words(params) * sizeof(uint64_t) + bk_state_lengths(params) * sizeof(float);
 }
 
-uint64_t bake_gpu_look_bytes(const struct bk_params *params)
+uint64_t bake_gpu_chunk_rays_bytes(const struct bk_params *params)
 {
-    return bake_gpu_viewpoints(params) * (state_bytes(params) + sizeof(bk_viewpoint));
+    const uint64_t look =
+                       bake_gpu_viewpoints(params) * (state_bytes(params) + sizeof(bk_viewpoint)),
+                   first = BAKE_FIRST_BUNDLES * BAKE_RAY_BUNDLE *
+                           (sizeof(bk_first_ray) + sizeof(bk_first_hit));
+    return look > first ? look : first;
 }
 
 /* Copies the states of viewpoints from `begin` on to the host memory of a stream, or back. */
@@ -179,5 +203,45 @@ int bake_gpu_look(struct bake_gpu *gpu, uint32_t area, const struct bk_params *p
     }
     if (failure.code == 0)
         copy_states(states, begin, count, stream->host[0], true);
+    return bake_gpu_end_worker(gpu, stream, failure, why);
+}
+
+/* ---- first rays ---- */
+
+/* Writes rays to the host memory of a stream, after the hits to come, enqueues what they need and
+ * waits for it. */
+static struct bake_failure trace_first_rays(struct bake_gpu *gpu, struct bake_stream *stream,
+                                            uint64_t at, const bk_limits *limits,
+                                            const struct bake_first_rays *rays)
+{
+    const struct bake_driver *driver = gpu->driver;
+    const uint32_t count = rays->bundles * BAKE_RAY_BUNDLE, place = (uint32_t)(at / BSQ_ALIGNMENT);
+    const uint64_t bytes = count * sizeof(bk_first_hit);
+    struct bake_launch launch = {
+        .kernel = BAKE_FIRST, .width = 32, .height = (count + 31) / 32, .side = 32};
+    BAKE_TRY_CALL(bake_gpu_take_stream(gpu, stream));
+    bk_first_ray *out = (bk_first_ray *)(void *)(stream->host[0] + bytes);
+    for (uint32_t b = 0; b < rays->bundles; b++)
+        rays->get(rays->arg, b, out + (uint64_t)b * BAKE_RAY_BUNDLE);
+    BAKE_LAUNCH_ADD(&launch, gpu->areas[BAKE_WAVE]);
+    BAKE_LAUNCH_ADD(&launch, place);
+    BAKE_LAUNCH_ADD(&launch, *limits);
+    BAKE_LAUNCH_ADD(&launch, count);
+    BAKE_LAUNCH_ADD(&launch, stream->texels);
+    BAKE_TRY_CALL(driver->send(gpu, stream, (const char *)out, count * sizeof *out, stream->texels,
+                               bytes, BAKE_SAMPLES));
+    stream->launches++;
+    BAKE_TRY_CALL(driver->launch(gpu, stream, &launch));
+    BAKE_TRY_CALL(driver->fetch(gpu, stream, bytes));
+    return bake_gpu_receive(gpu, stream);
+}
+
+int bake_gpu_first(struct bake_gpu *gpu, uint64_t at, const bk_limits *limits,
+                   const struct bake_first_rays *rays, const bk_first_hit **hits, unsigned worker,
+                   char *why)
+{
+    struct bake_stream *stream = &gpu->streams[worker];
+    const struct bake_failure failure = trace_first_rays(gpu, stream, at, limits, rays);
+    *hits = (const bk_first_hit *)(const void *)stream->host[0];
     return bake_gpu_end_worker(gpu, stream, failure, why);
 }

@@ -16,12 +16,13 @@ enum {
 };
 
 const char *const bake_kernel_names[BAKE_KERNEL_COUNT] = {"bake_patch", "bake_look", "bake_rays",
-                                                          "bake_meet"};
+                                                          "bake_meet", "bake_first"};
 
 bool bake_gpu_launches(const struct bake_gpu *gpu, int kernel)
 {
-    if (gpu->exact || kernel == BAKE_MEET)
-        return gpu->exact && kernel == BAKE_MEET;
+    if (gpu->exact || kernel >= BAKE_MEET)
+        return gpu->exact &&
+               (kernel == BAKE_FIRST || (kernel == BAKE_MEET && bk_ray_count(&gpu->params) > 0));
     return kernel == BAKE_RAYS   ? gpu->params.maps >> BK_MAP_curvature & 1
            : kernel == BAKE_LOOK ? bk_ray_count(&gpu->params) > 0
                                  : true;
@@ -66,7 +67,7 @@ static uint64_t fetched_bytes(const struct bake_gpu *gpu)
 {
     const uint64_t texels = texel_bytes(gpu, gpu->patch_texels);
     const uint64_t hits = single_rays(gpu) * BK_HIT_FLOATS * sizeof(float);
-    return gpu->exact ? bake_gpu_look_bytes(&gpu->params) : texels > hits ? texels : hits;
+    return gpu->exact ? bake_gpu_chunk_rays_bytes(&gpu->params) : texels > hits ? texels : hits;
 }
 
 static uint64_t point_bytes(const struct bake_gpu *gpu)
@@ -94,8 +95,7 @@ static uint64_t triangle_bytes(const struct bake_scene *scene)
     return scene->triangle_count * (uint64_t)sizeof *scene->triangles;
 }
 
-/* Reserves bytes of the host's budget until the device is closed. */
-static int gpu_reserve(struct bake_gpu *gpu, const char *what, uint64_t bytes)
+int bake_gpu_reserve(struct bake_gpu *gpu, const char *what, uint64_t bytes)
 {
     int status = bsq_reserve(gpu->ctx, what, bytes);
     if (status == 0)
@@ -125,7 +125,7 @@ static int share_memory(struct bake_gpu *gpu, const struct bake_scene *scene)
                         fixed, limit);
     gpu->memory_bytes = limit - fixed;
     return gpu->shares_memory
-               ? gpu_reserve(gpu, "patches on a device that shares host memory", fixed)
+               ? bake_gpu_reserve(gpu, "patches on a device that shares host memory", fixed)
                : 0;
 }
 
@@ -232,7 +232,7 @@ static int gpu_load_grid(struct bake_gpu *gpu, const struct bake_grid_arrays *gr
 {
     *what = "memory that the device shares";
     if (gpu->shares_memory)
-        BSQ_PASS(gpu_reserve(gpu, "grid on a device that shares host memory", grid->bytes));
+        BSQ_PASS(bake_gpu_reserve(gpu, "grid on a device that shares host memory", grid->bytes));
     gpu->params = grid->params;
     for (int i = 0; i < BAKE_GRID_ARRAYS; i++) {
         *what = grid->arrays[i].name;
@@ -278,19 +278,33 @@ static int check_space(const struct bake_gpu *gpu, const struct bake_grid_arrays
     return 0;
 }
 
-/* Fails with BSQ_RETRY if the device cannot trace rays through chunks of triangles. */
-static int check_chunks(const struct bake_gpu *gpu, const struct bake_scene *scene)
+static uint64_t gpu_lesser(uint64_t a, uint64_t b)
 {
-    const uint64_t space =
-        gpu->memory_bytes < gpu->array_bytes ? gpu->memory_bytes : gpu->array_bytes;
+    return a < b ? a : b;
+}
+
+/* Divides the memory between first rays and those from hits: the first get a quarter of it, if they
+ * can use as much, but at least what a chunk needs. Fails with BSQ_RETRY if the device cannot trace
+ * rays through chunks of triangles. */
+static int divide_memory(struct bake_gpu *gpu, const struct bake_scene *scene)
+{
+    const uint64_t chunk = scene->chunk_bytes, place = scene->place_bytes,
+                   space = gpu_lesser(gpu->memory_bytes, gpu->array_bytes),
+                   quarter = gpu->memory_bytes / 4;
     if (gpu->lacks)
         return bsq_fail(gpu->ctx, BSQ_RETRY, "%s has no %s, which triangles need", gpu->name,
                         gpu->lacks);
-    if (scene->chunk_bytes > space)
+    if (chunk + place > gpu->memory_bytes || chunk > space || place > space)
         return bsq_fail(gpu->ctx, BSQ_RETRY,
                         "the largest chunk of the scan needs %.1f MiB of memory, %s has %.1f MiB "
                         "for it",
-                        mebibytes(scene->chunk_bytes), gpu->name, mebibytes(space));
+                        mebibytes(chunk + place), gpu->name, mebibytes(space));
+    const uint64_t share = chunk == 0        ? space
+                           : place < quarter ? quarter
+                                             : place,
+                   most = gpu_lesser(share, gpu_lesser(space, gpu->memory_bytes - chunk));
+    gpu->wave_bytes = gpu_lesser(scene->wave_bytes, most);
+    gpu->memory_bytes -= gpu->wave_bytes;
     return 0;
 }
 
@@ -563,7 +577,7 @@ static int create_streams(struct bake_gpu *gpu)
             .own = gpu->stream_memory + i * stream_bytes, .host_count = 1, .host_bytes = host};
     upload_stream(gpu)->host_count = 2;
     upload_stream(gpu)->host_bytes = STAGING_BYTES;
-    return gpu_reserve(gpu, "page-locked memory", (count - 1) * host + staging);
+    return bake_gpu_reserve(gpu, "page-locked memory", (count - 1) * host + staging);
 }
 
 /* Prepares an opened device for a job and uploads the low-poly mesh. */
@@ -576,7 +590,7 @@ static int gpu_prepare(struct bake_gpu *gpu, const struct bake_scene *scene)
     BSQ_PASS(create_streams(gpu));
     BSQ_PASS(share_memory(gpu, scene));
     if (gpu->exact)
-        return check_chunks(gpu, scene);
+        return divide_memory(gpu, scene);
     struct bake_stream *upload = upload_stream(gpu);
     upload->open = true;
     BSQ_PASS(bake_gpu_fail(gpu, gpu->driver->open_stream(gpu, upload)));
@@ -621,6 +635,8 @@ void bake_gpu_close(struct bake_gpu *gpu)
         if (gpu->arrays[i])
             gpu->driver->release(gpu, gpu->arrays[i]);
     bake_gpu_release_areas(gpu);
+    if (gpu->areas[BAKE_WAVE])
+        gpu->driver->release(gpu, gpu->areas[BAKE_WAVE]);
     if (gpu->triangles)
         gpu->driver->release(gpu, gpu->triangles);
     gpu->driver->close(gpu);

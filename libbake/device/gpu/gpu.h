@@ -10,6 +10,7 @@
 
 #include "libbake/device/driver/driver.h"
 #include "libbake/device/scene/scene.h"
+#include "libbake/kernel/bk_meet.h"
 #include "libbake/ray/ray.h"
 
 /* ---- launch batches: launches.c ---- */
@@ -92,7 +93,8 @@ struct bake_stream {
     uint64_t host_bytes;
     bool open;
     /* Of a worker: samples and texels of its patch on the device; or single rays and their hits.
-     * Without a grid, viewpoints and what is known of their rays are in `texels`. */
+     * Without a grid, viewpoints and what is known of their rays are in `texels`, or first rays and
+     * their hits. */
     bake_memory samples, texels;
     /* With rays from hits: viewpoints of a batch, and what their rays found. */
     bake_memory points, found;
@@ -116,7 +118,7 @@ struct bake_failure {
     } while (0)
 
 /* The kernels of bake.cl. */
-enum { BAKE_PATCH, BAKE_LOOK, BAKE_RAYS, BAKE_MEET, BAKE_KERNEL_COUNT };
+enum { BAKE_PATCH, BAKE_LOOK, BAKE_RAYS, BAKE_MEET, BAKE_FIRST, BAKE_KERNEL_COUNT };
 extern const char *const bake_kernel_names[BAKE_KERNEL_COUNT];
 struct bake_gpu;
 
@@ -185,7 +187,7 @@ struct bake_driver {
     struct bake_failure (*times)(struct bake_gpu *gpu, struct bake_stream *stream);
 };
 
-enum { BAKE_AREAS = 2 /* for groups of chunks */ };
+enum { BAKE_AREAS = 2 /* for groups of chunks */, BAKE_WAVE /* that for first rays */ };
 
 /* An opened device; the API's structure begins with it. */
 struct bake_gpu {
@@ -201,9 +203,10 @@ struct bake_gpu {
     uint64_t memory_bytes, buffer_bytes, array_bytes;
     bake_memory triangles;
     bake_memory arrays[BAKE_GRID_ARRAYS];
-    bake_memory areas[BAKE_AREAS];
-    uint64_t area_bytes; /* of each of them; 0: there are none */
+    bake_memory areas[BAKE_WAVE + 1];
+    uint64_t area_bytes; /* of each of BAKE_AREAS; 0: there are none */
     uint32_t area_count;
+    uint64_t wave_bytes;     /* of area BAKE_WAVE */
     struct bk_params params; /* the job's, for these arrays */
     uint32_t patch_texels;
     unsigned worker_count, windows; /* see bake_patch_windows() */
@@ -255,6 +258,10 @@ int bake_gpu_trace_rays(struct bake_gpu *gpu, const float *rays, uint32_t count,
 int bake_gpu_make_areas(struct bake_gpu *gpu, uint64_t whole, uint64_t least, char *why);
 void bake_gpu_release_areas(struct bake_gpu *gpu);
 
+/* Makes area BAKE_WAVE, of gpu->wave_bytes; of a device that shares the host's memory, they may
+ * become less, but not less than `least`. Otherwise likewise. */
+int bake_gpu_make_wave(struct bake_gpu *gpu, uint64_t least, char *why);
+
 /* Copies bytes to an area, from its byte `at` on. Returns when they are there. Workers may call
  * this at a time, also while rays meet what is in other areas or parts of them. */
 int bake_gpu_send(struct bake_gpu *gpu, uint32_t area, uint64_t at, const void *from,
@@ -268,6 +275,21 @@ uint32_t bake_gpu_viewpoints(const struct bk_params *params);
 int bake_gpu_look(struct bake_gpu *gpu, uint32_t area, const struct bk_params *params,
                   const struct bake_viewpoints *viewpoints, uint64_t begin, uint64_t end,
                   unsigned worker, const struct bake_ray_states *states, char *why);
+
+/* First rays by bundles. */
+struct bake_first_rays {
+    /* Writes the BAKE_RAY_BUNDLE rays of a bundle; one without a direction hits nothing. */
+    void (*get)(void *arg, uint32_t bundle, bk_first_ray *out);
+    void *arg;
+    uint32_t bundles; /* BAKE_FIRST_BUNDLES at most */
+};
+enum { BAKE_FIRST_BUNDLES = 1 << 10 };
+
+/* Traces first rays through the chunk at byte `at` of area BAKE_WAVE, a group of its own. *hits: of
+ * each ray, see bk_meet_first(); until the worker's next call. */
+int bake_gpu_first(struct bake_gpu *gpu, uint64_t at, const bk_limits *limits,
+                   const struct bake_first_rays *rays, const bk_first_hit **hits, unsigned worker,
+                   char *why);
 
 /* Returns what the device did so far. Must not be called while patches are traced. */
 struct bake_device_times bake_gpu_times(struct bake_gpu *gpu);

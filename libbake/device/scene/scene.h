@@ -15,8 +15,10 @@ struct bk_grid;
 
 /* Everything that stays the same over a job; pointers stay valid until the device is closed. */
 struct bake_scene {
-    const struct fmt_nvdb_grid *grid; /* NULL: rays from hits meet chunks of triangles */
-    uint64_t chunk_bytes; /* then: device memory that the largest chunk and its table need */
+    const struct fmt_nvdb_grid *grid; /* NULL: rays meet chunks of triangles */
+    /* Then device memory: that the largest chunk and its table need for rays from hits, that it
+     * needs for first rays, and that these can use. */
+    uint64_t chunk_bytes, place_bytes, wave_bytes;
     const struct bk_triangle *triangles;
     uint32_t triangle_count;
     uint32_t patch_texels;  /* largest width * height of a patch */

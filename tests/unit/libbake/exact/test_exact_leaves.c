@@ -139,8 +139,9 @@ static bool meet(const struct scene *scene, const struct bake_ray *ray,
                     .sides = limits->two_sided       ? 0u
                              : limits->facing_origin ? (bk_uint)BK_AGAINST
                                                      : (bk_uint)BK_ALONG};
-    if (!bk_meeting_set(&m, ray->origin, ray->direction, (float)limits->t_max))
+    if (!bk_meeting_set(&m, ray->origin, ray->direction))
         return false;
+    bk_set_nearest(&m, (double)(float)limits->t_max);
     bk_meet_group(&m, (const bk_float4 *)(const void *)scene->area);
     *t = m.nearest;
     return m.found;
@@ -171,6 +172,102 @@ static void check_ray(const struct scene *scene, const struct bake_ray *ray,
                                                                       ray->direction, &limits, &t),
                          hit);
     }
+}
+
+/* ---- first rays ---- */
+
+/* Returns a chunk as a device has it for first rays, to be freed. */
+static char *place_of(const struct scene *scene, int chunk)
+{
+    const uint64_t table = bake_exact_table_bytes(1),
+                   bytes = bake_exact_leaves_bytes(scene->chunks[chunk].triangle_count);
+    struct exact_leaves leaves = scene->leaves[chunk];
+    struct exact_group group = {.chunks = &leaves};
+    struct exact_box box = EXACT_EMPTY_BOX;
+    struct exact_box8 node;
+    char *place = aligned_alloc(BSQ_ALIGNMENT, table + bytes);
+    for (int v = 0; v < TRIANGLES + 2; v++)
+        exact_box_grow(&box, scene->positions[chunk][v], scene->positions[chunk][v]);
+    bake_exact_tree_build(&group.tree, 1, &box, &node);
+    bake_exact_table_set(&group, 1, place);
+    memcpy(place + table, scene->memory[chunk], bytes);
+    return place;
+}
+
+/* Returns whether a hit counts and wins over another one. */
+static bool takes(const bk_limits *limits, const bk_first_ray *ray, const bk_line_hit *crossing,
+                  uint32_t triangle, const bk_first_hit *best, bool met)
+{
+    const double t = crossing->t, reach = (double)ray->reach;
+    return t >= limits->t_min && t <= limits->t_max && fabs(t) >= limits->gap &&
+           !(limits->from_reach && t > reach) &&
+           (limits->sides == 0 || (limits->sides == BK_ALONG) == (crossing->along != 0)) &&
+           (!met || bk_wins(t, triangle, best->t, best->triangle, reach));
+}
+
+/* Tests all triangles of a chunk. */
+static bk_first_hit first_of_all(const struct scene *scene, int chunk, const bk_limits *limits,
+                                 const bk_first_ray *ray)
+{
+    bk_first_hit best = {.t = ray->t, .triangle = BK_NO_TRIANGLE};
+    bool met = ray->met;
+    bk_line line;
+    bk_shear shear;
+    if (!bk_line_set(&line, ray->origin, ray->direction))
+        return best;
+    bk_shear_set(&shear, ray->origin, ray->direction);
+    for (uint32_t i = 0; i < scene->chunks[chunk].triangle_count; i++) {
+        const float(*p)[3] = &scene->chunks[chunk].positions[i];
+        bk_line_hit crossing;
+        if (!exact_cross_triangle(&shear, p[0], p[1], p[2], &crossing) ||
+            !takes(limits, ray, &crossing, i, &best, met))
+            continue;
+        best = (bk_first_hit){crossing.t, crossing.w1, crossing.w2, i, 0};
+        met = true;
+    }
+    return best;
+}
+
+TEST(devices_find_the_first_hit_that_wins)
+{
+    static const double scales[][2] = {{1, 0}, {1, 1000}, {1e-3, 1e5}, {1e-25, 3}, {1e25, 3}};
+    static struct scene scene;
+    exact_seed = test_seed();
+    uint32_t hits = 0, kept = 0;
+    for (uint32_t i = 0; i < sizeof scales / sizeof *scales; i++) {
+        scene.scale = scales[i][0];
+        scene.offset = scales[i][1];
+        fill_scene(&scene);
+        build_scene(&scene, false);
+        for (int c = 0; c < CHUNKS; c++) {
+            char *place = place_of(&scene, c);
+            for (int r = 0; r < RAYS; r++) {
+                const struct bake_ray from = random_ray(&scene);
+                bk_first_ray ray = {.reach = (float)(scene.scale * (double)exact_between(0, 1)),
+                                    .met = r % 3 == 0,
+                                    .t = scene.scale * (double)exact_between(-1, 1)};
+                const bk_limits limits = {.t_min = r % 5 ? -scene.scale : -3 * scene.scale,
+                                          .t_max = r % 7 ? 2 * scene.scale : scene.scale / 2,
+                                          .gap = r % 11 == 0 ? scene.scale / 8 : 0,
+                                          .sides = (bk_uint)r % 4 % 3,
+                                          .from_reach = r % 13 == 0};
+                memcpy(ray.origin, from.origin, sizeof ray.origin);
+                memcpy(ray.direction, from.direction, sizeof ray.direction);
+                const bk_first_hit expected = first_of_all(&scene, c, &limits, &ray);
+                bk_first_hit hit;
+                bk_meet_first((const bk_float4 *)(const void *)place, &limits, &ray, &hit);
+                assert_int_equal(hit.triangle, expected.triangle);
+                hits += hit.triangle != BK_NO_TRIANGLE;
+                kept += hit.triangle == BK_NO_TRIANGLE && ray.met;
+                if (hit.triangle != BK_NO_TRIANGLE)
+                    assert_true(hit.t == expected.t && hit.w1 == expected.w1 &&
+                                hit.w2 == expected.w2);
+            }
+            free(place);
+        }
+        free_scene(&scene);
+    }
+    assert_true(hits > RAYS && kept > RAYS / 4);
 }
 
 TEST(leaves_hide_no_hit)
