@@ -96,12 +96,13 @@ def read_glb(path: Path, folder: Path) -> dict:
     return {**corners, "shows": shows}
 
 
-def _draw(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Draws triangles, whose corners _project() gave. Returns the triangle of each pixel, -1 for none, and the
-    weights of its corners on the triangle."""
+def _draw(p: np.ndarray, backs: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Draws triangles, whose corners _project() gave. Returns the triangle of each pixel, -1 for none, the
+    weights of its corners on the triangle, and the pixels where a triangle turns its back to the viewer, if backs hide
+    what is behind them (backs); they show none."""
     e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     area = e1[:, 1] * e2[:, 0] - e1[:, 0] * e2[:, 1]  # y points downwards
-    front = np.flatnonzero(area > 0)
+    front = np.flatnonzero(area if backs else area > 0)
     low = np.ceil(p[front, :, :2].min(axis=1) - 0.5).clip(0, SIDE).astype(int)
     size = np.floor(p[front, :, :2].max(axis=1) + 0.5).clip(0, SIDE).astype(int) - low
     counts = size.clip(0).prod(axis=1)
@@ -127,7 +128,8 @@ def _draw(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         pixel = pixel[order]
         nearest[pixel], shown[pixel], weights[pixel] = near[order], t[order], w[order] / near[order, None]
         first = last
-    return shown, weights
+    hidden = (shown >= 0) & (area[shown] < 0)
+    return np.where(hidden, -1, shown), weights, hidden
 
 
 def _shade(glb: dict, maps: Sequence[str], t: np.ndarray, w: np.ndarray, job: dict) -> dict:
@@ -156,9 +158,11 @@ def compare_views(path: Path, chunks: str, reach: float, maps: Sequence[str], *,
                   progress: core.Progress | None = None, **job: Any) -> dict:
     """Compares a GLB file, as a viewer shows it, with its scan, as its triangles are, in views from all
     around, as if nothing were transparent. reach: the most that the scan is away from the mesh; maps: those of the
-    asset; two_sided: the scan's faces may look any way. Returns `normal_error` in degrees, `color_error` (CIEDE2000),
-    and the errors of channels such as roughness, if there are such maps, over the pixels that show both, and the share
-    of those among all that show one, `silhouette`. Temporary files are beside the GLB file."""
+    asset; two_sided: the scan's faces may look any way, so pixels where the mesh turns its back to the viewer do not
+    count. Returns `normal_error` in degrees, `color_error` (CIEDE2000),
+    and the errors of channels such as roughness, if there are such maps, over the pixels that show both, the share
+    of those among all that show one, `silhouette`, and of pixels that do not count, `backs`. Temporary files are beside
+    the GLB file."""
     folder = path.parent / "views"
     folder.mkdir(exist_ok=True)
     try:
@@ -186,8 +190,8 @@ def _compare_views(path: Path, chunks: str, reach: float, maps: list[str], two_s
             chunks, _atlas(axes, centre, half, distance), names + channels, size=(COLUMNS * SIDE, ROWS * SIDE),
             samples=1, padding=0, front=0, back=2 * distance, normal_space="object", sample_type="float", as_is=True,
             two_sided=two_sided, output=f"{folder}/scan_<MAP>.exr", progress=progress, **job)
-        drawn = [_draw(_project(glb["p"] - centre, view, half, distance)) for view in axes]
-        shown, weights = (np.concatenate(part) for part in zip(*drawn))
+        drawn = [_draw(_project(glb["p"] - centre, view, half, distance), two_sided) for view in axes]
+        shown, weights, backs = (np.concatenate(part) for part in zip(*drawn))
         seen = np.flatnonzero(shown >= 0)
         values = _shade(glb, maps, shown[seen], weights[seen], job)
         values["mask"] = np.ones((len(seen), 3))
@@ -198,13 +202,15 @@ def _compare_views(path: Path, chunks: str, reach: float, maps: list[str], two_s
             pictures[name] = _picture(pixels)
         for name in names:
             write_png(f"{folder}/asset_{name}.png", pictures[name])
+        hit = (scan["mask"] > 0) & ~_picture(backs)[:, :, 0]
+        write_png(f"{folder}/scan_mask.png", hit)
         found = {name: core.compare(f"{folder}/asset_{name}.png", f"{folder}/scan_{name}.exr", kind=name, force=True,
-                                    mask=[f"{folder}/{of}" for of in ("asset_mask.png", "scan_mask.exr")], **job)
+                                    mask=[f"{folder}/{of}" for of in ("asset_mask.png", "scan_mask.png")], **job)
                  for name in names if name != "mask"}
         keys = ("unit", "compared", "mean", "median", "p95", "p99", "max")
-        both = (pictures["mask"][:, :, 0] > 0) & (scan["mask"] > 0)
+        both = (pictures["mask"][:, :, 0] > 0) & hit
         found.update({name: _difference(pictures[name][both], scan[name][both]) for name in channels})
-        return {"silhouette": found["normal"]["agreement"],
+        return {"silhouette": found["normal"]["agreement"], "backs": float(backs.mean()),
                 **{f"{name}_error": {key: of[key] for key in keys} for name, of in found.items()}}
 
 
