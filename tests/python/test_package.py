@@ -439,6 +439,8 @@ def test_levels_of_a_scan_in_memory(scan, tmp_path, monkeypatch):
     certificate = bisque.asset(scan, tmp_path / "s.glb", preset="museum", units="cm", memory="512M",
                                progress=lambda *what: seen.append(what[1]))
     assert [level["size"] for level in certificate["levels"]] == [64, 128, 64]
+    assert [level["triangles"] for level in certificate["levels"]] == [300, 900, 600]
+    assert [step for step in certificate["seconds"] if "simplify" in step] == ["simplify"]  # of all levels
     names = ["s-0.3k-64-thumb.glb", "s-0.9k-128-high.glb", "s-0.9k-64-medium.glb", "s-0.9k-32-low.glb",
              *["s-0.6k-64-ar.glb"] * 2, "s-0.6k-64-ar.usdz"]
     scene = json.loads((tmp_path / "scene.svx.json").read_text())

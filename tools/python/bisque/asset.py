@@ -86,16 +86,30 @@ def write_mtl(path: Path, files: dict) -> None:
 
 # ---- the levels ----
 
-def _low_of(steps: Steps, scan: str, given: Any, level: dict, job: dict) -> Mesh:
-    """Returns the low-poly mesh of a level with UVs, and writes it as an OBJ file."""
-    simple, unwrapped = steps.folder / f"low_{level['name']}.ply", level["obj"]
+def _simplify(steps: Steps, scan: str, levels: list[dict], job: dict) -> list[dict]:
+    """Makes the meshes of all levels, each of the next larger one. Returns the report of each."""
+    falling = sorted(levels, key=lambda level: level["triangles"], reverse=True)
+    paths, wanted = [level["simple"] for level in falling], [level["triangles"] for level in falling]
+    options = {"triangles": wanted, **levels[0]["simplify"]}
+
+    def make() -> list[dict]:
+        rest = {**levels[0]["simplify"], "progress": steps.report, **job}
+        if len(levels) == 1:
+            return [core.simplify(scan, *paths, triangles=wanted[0], **rest).report]
+        report = core.simplify_levels(scan, paths, wanted, measured=True, **rest)
+        return [{**report, **found} for found in report.pop("levels")[:len(levels)]]
+
+    reports = steps.run("simplify", [scan], options, paths, make)
+    return [reports[falling.index(level)] for level in levels]
+
+
+def _low_of(steps: Steps, scan: str, given: Any, level: dict, report: dict, job: dict) -> Mesh:
+    """Returns the low-poly mesh of a level with UVs, and writes it as an OBJ file. report: of _simplify()."""
+    simple, unwrapped = level["simple"], level["obj"]
     size = min(level["size"], MOST_UNWRAPPED)
     suffix = f" {level['name']}"
     options = {"size": size, "padding": max(2, size // 512), "library": level["library"]}
     if given is None:
-        wanted = {"triangles": level["triangles"], **level["simplify"]}
-        report = steps.run("simplify" + suffix, [scan], wanted, [simple], lambda: core.simplify(
-            scan, simple, progress=steps.report, **wanted, **job).report)
         distance = report["from_mesh"]["max"]
         mended = repair.mended(steps, level, scan, read_mesh(str(simple)), simple, distance, job)
         inputs, low = [level["mended"]], read_mesh(str(level["mended"]))
@@ -103,7 +117,7 @@ def _low_of(steps: Steps, scan: str, given: Any, level: dict, job: dict) -> Mesh
         inputs = [given] if is_path(given) else []
         for path in inputs:
             steps.hold(path)
-        low, report = as_mesh(given), {}
+        low = as_mesh(given)
         options["content"] = _digest(low)
         mended = repair.mended(steps, {**level, "content": options["content"]}, scan, low, None, np.inf, job)
 
@@ -303,8 +317,10 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
         chunks, about = sorted_scan(steps, scan, paths, texture, job)
         level["maps"] = materials.choose_maps(maps, PRESETS[preset]["maps"], about)
         level["has_normals"] = about["normals"]
-        levels = [_bake_level(steps, chunks, about, _low_of(steps, chunks, low, one, job), one, job)
-                  for one in _levels(chosen, level, output, made, steps)]
+        wanted = _levels(chosen, level, output, made, steps)
+        reports = [{}] if low is not None else _simplify(steps, chunks, wanted, job)
+        levels = [_bake_level(steps, chunks, about, _low_of(steps, chunks, low, one, report, job), one, job)
+                  for one, report in zip(wanted, reports)]
         if len(chosen) > 1:
             museum.add_scene(steps.folder / museum.SCENE, output, chosen, levels)
         options = {"preset": preset, "levels": chosen, "samples": samples, "surface": surface,
@@ -321,14 +337,18 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
         private.close((elsewhere or not keep) and not needed)
 
 
-def _levels(chosen: list[tuple[int, int]], common: dict, output: Path, made: Path, steps: Steps) -> Any:
-    """Yields what makes each level: the common values, its numbers and its paths."""
+def _levels(chosen: list[tuple[int, int]], common: dict, output: Path, made: Path, steps: Steps) -> list[dict]:
+    """Returns what makes each level: the common values, its numbers and its paths."""
+    levels, several = [], len(chosen) > 1
     for number, (count, side) in enumerate(chosen):
-        staged, several = steps.folder / str(number), len(chosen) > 1
+        staged = steps.folder / str(number)
         staged.mkdir(exist_ok=True)
-        yield {**common, "name": str(number), "triangles": count, "size": side, "obj": staged / "low.obj",
-               "outputs": museum.outputs(output, number, count, side) if several else [(side, output)],
-               "mended": steps.folder / f"mended_{number}.obj", "made": made / str(number) if several else made}
+        levels.append({
+            **common, "name": str(number), "triangles": count, "size": side, "obj": staged / "low.obj",
+            "simple": steps.folder / f"low_{number}.ply", "mended": steps.folder / f"mended_{number}.obj",
+            "outputs": museum.outputs(output, number, count, side) if several else [(side, output)],
+            "made": made / str(number) if several else made})
+    return levels
 
 
 def _certificate(steps: Steps, paths: list[str], about: dict, options: dict, levels: list[dict]) -> dict:

@@ -408,6 +408,13 @@ def _simplify(job: Job, scan: Any, paths: list[str], targets: list[int], **membe
     return _plain(report)
 
 
+def _warn_of_more(job: Job, report: dict, targets: Sequence[Any]) -> None:
+    for level, target in zip(report["levels"], targets):
+        if level["triangles"] > target:
+            job.warnings.append(f"{level['triangles']} triangles instead of {target}: each edge that is left "
+                                "would close a hole or join pieces")
+
+
 def simplify(scan: Any, output: str | os.PathLike | None = None, *, triangles: int | str | None = None,
              error: float | str | None = None, min_component: float | str = 0, min_triangles: int = 0,
              hard_angle: float = 180, memory: int | str | None = None, threads: int = 0, tmpdir: Any = None,
@@ -432,28 +439,31 @@ def simplify(scan: Any, output: str | os.PathLike | None = None, *, triangles: i
             least *= diagonal / 100 if of_diagonal else 1
             if isinstance(target, str):
                 target = max(4, round(parse_amount("triangles", target)[0] / 100 * of))
-        report = _simplify(job, chunks, [path], [target] if triangles is not None else [], error=least,
+        targets = [] if triangles is None else [target]
+        report = _simplify(job, chunks, [path], targets, error=least,
                            min_component=component / 100, hard_angle=hard_angle,
                            min_triangles=check_number("min_triangles", min_triangles, 0, 2 ** 63))
+        _warn_of_more(job, report, targets)
         mesh = read_mesh(path)
-        mesh.report = report
-        mesh.report.update(mesh.report.pop("levels")[0])
-        if 0 < target < mesh.report["triangles"]:
-            job.warnings.append(f"{mesh.report['triangles']} triangles instead of {target}: each edge that is left "
-                                "would close a hole or join pieces")
+        mesh.report = {**report, **report.pop("levels")[0]}
         return mesh
 
 
 def simplify_levels(scan: Any, outputs: Sequence[str | os.PathLike], triangles: Sequence[int], *,
-                    min_component: float | str = 0, min_triangles: int = 0,
+                    min_component: float | str = 0, min_triangles: int = 0, measured: bool = False,
                     memory: int | str | None = None, threads: int = 0, tmpdir: Any = None,
                     progress: Progress | None = None) -> dict:
     """Makes several low-poly meshes, each of the one before, with falling numbers of triangles, as
-    .obj or .ply files. Does not measure them. Returns the report. Raises Error, ValueError."""
+    .obj or .ply files. measured: their distances are in the report, and more triangles than asked for are a warning.
+    Returns the report. Raises Error, ValueError."""
     component = parse_amount("min_component", str(min_component).removesuffix("%") + "%")[0]
     with Job(memory, threads, tmpdir, progress) as job:
-        return _simplify(job, scan, list(map(os.fspath, outputs)), list(triangles), min_component=component / 100,
-                         min_triangles=check_number("min_triangles", min_triangles, 0, 2 ** 63), unmeasured=True)
+        report = _simplify(job, scan, list(map(os.fspath, outputs)), list(triangles), min_component=component / 100,
+                           min_triangles=check_number("min_triangles", min_triangles, 0, 2 ** 63),
+                           unmeasured=not measured)
+        if measured:
+            _warn_of_more(job, report, triangles)
+        return report
 
 
 def measure(low: Any, scan: Any, *, boxes: Any = None, memory: int | str | None = None, threads: int = 0,

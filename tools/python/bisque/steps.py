@@ -142,7 +142,7 @@ class Steps:
         self.folder, self.lock, self.progress = folder.path, folder.lock, progress
         self.note = self.folder / "steps.json"
         self.known = self._read_note()
-        self.total = WEIGHTS["sort"] + levels * (sum(WEIGHTS.values()) - WEIGHTS["sort"])
+        self.total = levels * sum(WEIGHTS.values()) - (levels - 1) * (WEIGHTS["sort"] + WEIGHTS["simplify"])
         self.done, self.weight, self.name, self.stage, self.shown = 0.0, 0.0, "", "", 0
         self.seconds: dict[str, float] = {}
         self.warnings: dict[str, list[str]] = {}  # of each step
