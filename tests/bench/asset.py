@@ -329,7 +329,8 @@ def bake_cycles(scan, v, f, size, folder):
 def make_own(program, scan, target, size, folder):
     path = write_scan(scan, folder)
     out = subprocess.run([program, path, "-o", folder / "own.glb", "--triangles", str(target), "--size", str(size),
-                          "--maps", "normal,color", "--json", "--progress", "none", *os.environ.get("OPTIONS", "").split()],
+                          "--maps", "normal,color", "--images", "png", "--json", "--progress", "none",
+                          *os.environ.get("OPTIONS", "").split()],
                          check=True, capture_output=True, text=True)
     return read_glb(folder / "own.glb"), json.loads(out.stdout)["levels"][0]
 

@@ -70,11 +70,14 @@ class View:
         numbers, _, far = self.look(corners)
         return np.where(numbers >= 0, far, np.inf).reshape(SIDE, SIDE)
 
-    def pixels(self, node):
-        """Returns the error of a tile in pixels, as a viewer computes it. Boxes are z-up."""
+    def pixels(self, node, points=None):
+        """Returns the error of a tile in pixels, as a viewer computes it: at its box, in which the camera may be. With
+        the tile's points, what it is at the closest one. Boxes are z-up."""
         box = np.array(node["boundingVolume"]["box"])
         eye = self.eye @ [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
         away = np.linalg.norm(np.maximum(np.abs(eye - box[:3]) - [box[3], box[7], box[11]], 0))
+        if points is not None:
+            away = np.linalg.norm(points - self.eye, axis=1).min()
         return node["geometricError"] * SIDE / (2 * max(away, 1e-9) * np.tan(FOV / 2))
 
 
@@ -110,7 +113,7 @@ def test_no_background_shows_inside_the_silhouette(made):
             nodes = shown_of(tileset["root"], lambda node: view.pixels(node) > most if most else (
                 node is tileset["root"] or rng.random() < 0.7))
             mixed += len({name_of(node).split("_")[0] for node in nodes}) > 1
-            errors = max(view.pixels(node) for node in nodes)
+            errors = max(view.pixels(node, tiles[name_of(node)]["p"]) for node in nodes)
             deepest = farthest_near(scans, int(np.ceil(errors)) + 1) + max(node["geometricError"] for node in nodes)
             looked += np.isfinite(deepest).sum()
             for skirts in (True, False)[:1 if most else 2]:
