@@ -16,6 +16,7 @@ int fmt_tris_normals_begin(struct fmt_tris_writer *writer, struct fmt_tris_file 
     *out = NULL;
     BSQ_PASS(BSQ_CALLOC(writer->ctx, "chunk file", 1, &file));
     file->ctx = writer->ctx;
+    file->own = true;
     file->file = (struct bsq_file)BSQ_FILE_CLOSED;
     file->header.attributes = h->attributes;
     file->header.chunk_count = h->chunk_count;

@@ -15,11 +15,6 @@
 
 enum { CREASES = 8192 /* that are divided at a time */, SLOTS_A_THREAD = 2 };
 
-/* The random number of a one-ring, and the sum of the differences of its neighbours'. */
-struct ring_edges {
-    uint64_t number, neighbours;
-};
-
 /* A chunk under way: that of the slot's sequence number. */
 struct ring_slot {
     struct fmt_tris_chunk tris;
@@ -27,8 +22,9 @@ struct ring_slot {
     struct vox_rings rings;
     uint32_t *ring_of; /* by vertex; a one-ring has the number of its first vertex, plus 1 */
     uint32_t *open_triangles, open_count;
-    struct ring_edges *edges; /* by one-ring */
-    uint8_t *open;            /* by vertex: OPEN, then ASKED */
+    uint64_t *random;     /* by one-ring: constant numbers */
+    uint64_t *neighbours; /* by one-ring: sums of differences of random numbers */
+    uint8_t *open;        /* by vertex: OPEN, then ASKED */
     uint64_t *normals;
     uint32_t *numbers;               /* 1, 2, 3 ... CREASES */
     uint64_t *seconds;               /* of the creases that are divided at a time */
@@ -56,7 +52,8 @@ static uint64_t slot_lay_out(const struct normals_run *run, uint8_t *memory, str
         normals_place(memory, &at, bsq_positions_cells(run->vertices), sizeof *s->table.cells);
     s->ring_of = normals_place(memory, &at, vertices, sizeof *s->ring_of);
     s->open_triangles = normals_place(memory, &at, most, sizeof *s->open_triangles);
-    s->edges = normals_place(memory, &at, rings, sizeof *s->edges);
+    s->random = normals_place(memory, &at, rings, sizeof *s->random);
+    s->neighbours = normals_place(memory, &at, rings, sizeof *s->neighbours);
     s->open = normals_place(memory, &at, vertices, sizeof *s->open);
     s->normals = normals_place(memory, &at, vertices, sizeof *s->normals);
     s->numbers = normals_place(memory, &at, CREASES, sizeof *s->numbers);
@@ -116,20 +113,21 @@ static uint64_t ring_number(uint64_t ring)
 static void find_open(struct ring_slot *s)
 {
     const uint32_t vertices = s->tris.vertex_count, triangles = s->tris.triangle_count;
-    for (uint32_t r = 0; r <= vertices; r++)
-        s->edges[r] = (struct ring_edges){ring_number(r), 0};
+    const uint32_t(*corners)[3] = s->tris.triangles, *ring_of = s->ring_of;
+    const uint64_t *random = s->random;
+    uint64_t *neighbours = s->neighbours;
+    memset(neighbours, 0, (vertices + UINT64_C(1)) * sizeof *neighbours);
     for (uint32_t t = 0; t < triangles; t++) {
-        const uint32_t *v = s->tris.triangles[t];
-        struct ring_edges *a = &s->edges[s->ring_of[v[0]]], *b = &s->edges[s->ring_of[v[1]]],
-                          *c = &s->edges[s->ring_of[v[2]]];
-        const uint64_t x = a->number, y = b->number, z = c->number;
-        a->neighbours += y - z;
-        b->neighbours += z - x;
-        c->neighbours += x - y;
+        const uint32_t a = ring_of[corners[t][0]], b = ring_of[corners[t][1]],
+                       c = ring_of[corners[t][2]];
+        const uint64_t x = random[a], y = random[b], z = random[c];
+        neighbours[a] += y - z;
+        neighbours[b] += z - x;
+        neighbours[c] += x - y;
     }
     for (uint32_t v = 0; v < vertices; v++) {
         const uint64_t ring = s->ring_of[v];
-        s->open[v] = s->edges[ring].neighbours != 0 ? OPEN : 0;
+        s->open[v] = neighbours[ring] != 0 ? OPEN : 0;
         if (s->open[v])
             memset(s->rings.sums[ring * BSQ_RING_ROWS], 0, BSQ_RING_ROWS * sizeof *s->rings.sums);
     }
@@ -266,6 +264,8 @@ int vox_normals_visit_chunks(struct normals_run *run)
         slot_lay_out(run, memory + i * bytes, &slots[i]);
         for (uint32_t k = 0; k < CREASES; k++)
             slots[i].numbers[k] = k + 1;
+        for (uint32_t r = 0; r <= run->vertices; r++)
+            slots[i].random[r] = ring_number(r);
     }
     const struct bsq_pipeline pipeline = {.produce = visit_produce,
                                           .work = visit_work,

@@ -151,8 +151,10 @@ static int join_part(struct open_worker *w, const struct open_part *part, bool *
 {
     uint32_t creases;
     vox_rings_pack_fn *const pack = BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_pack);
+    const uint64_t records = w->run->corners.list[part->bucket].bytes / sizeof *w->records;
     *fits = true;
     w->count = 0;
+    w->table.mask = bsq_positions_cells(records < w->most ? (uint32_t)records : w->most) - 1;
     memset(w->table.cells, 0, (w->table.mask + UINT64_C(1)) * sizeof *w->table.cells);
     BSQ_PASS(run_records(w, part, false, VOX_RING_SUM, fits));
     if (!*fits)
@@ -210,7 +212,6 @@ static int make_worker(struct normals_run *run, uint32_t most, struct open_worke
     *w = (struct open_worker){.run = run, .most = most};
     BSQ_PASS(bsq_alloc(run->ctx, "normals", worker_lay_out(NULL, w), 1, &memory));
     worker_lay_out(memory, w);
-    w->table.mask = bsq_positions_cells(most) - 1;
     w->table.positions = (const float(*)[3])w->positions;
     w->rings.positions = (const float(*)[3])w->corners;
     w->rings.triangles = (const uint32_t(*)[3])w->triangles;
