@@ -21,8 +21,7 @@ enum {
     GRID_TO_SAMPLE = PADDED_MAP << 5,
     BARE_TRIANGLES = PADDED_MAP << 6,
     ASSET = PADDED_MAP << 7,
-    DEVICE_RAYS = PADDED_MAP << 8, /* that a GPU could trace */
-    LAST_NEED = DEVICE_RAYS
+    LAST_NEED = ASSET
 };
 
 /* Returns whether a map has padding; the mask has none. */
@@ -54,10 +53,6 @@ static const char *lacks(uint32_t need, const struct bake_options *options,
         return scans->grid || options->sampling == BAKE_NEAREST ? NULL : "a grid";
     case GRID:
         return scans->grid ? NULL : "a grid";
-    case DEVICE_RAYS:
-        return scans->grid || options->maps & (OPEN_RAYS | BAKE_MAP_THICKNESS)
-                   ? NULL
-                   : "a grid, or the map ao or bent or thickness";
     case BARE_TRIANGLES:
         return scans->normals ? "triangles without normals" : NULL;
     default:
@@ -269,7 +264,7 @@ static const struct bsq_option table[] = {
                                "(default: cpu if it is expected to finish first, else auto)"),
      .heading = "Devices", .own_syntax = true, MEMBER(TEXT, device), FINISHES, .text = ""},
     {BSQ_ROW("gpu-memory", "SIZE", "most memory of a GPU to use, e.g. 2G (default: what is free)"),
-     MEMBER(BYTES, gpu_memory_bytes), FINISHES, .needs = GPU | DEVICE_RAYS},
+     MEMBER(BYTES, gpu_memory_bytes), FINISHES, .needs = GPU},
 };
 enum { ROWS = sizeof table / sizeof *table };
 _Static_assert((int)ROWS <= (int)BAKE_MOST_OPTION_ROWS, "bisque-bake has a flag for each row");

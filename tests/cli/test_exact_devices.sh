@@ -60,6 +60,7 @@ if [ -s "$ptx" ]; then
     made x usual
     ok cuda --device cuda --threads 2 --size 96x64 --type float --maps normal vase.tris low.obj -o x.exr --gpu-memory 6M --json
     json '.device == "Fake GPU 0 (CUDA), exact" and .kernel_calls > 0'
+    holds "nothing is said of first rays alone: $(cat "$err")" [ ! -s "$err" ]
     same cpu.usual.normal.exr x.exr
     rm x.exr
 

@@ -71,7 +71,6 @@ for words in "--ao coarse=none" "--scan sampling=trilinear"; do
         $words -o map.exr
     holds "none of $words for a grid beside triangles" [ ! -s "$err" ]
 done
-nothing "a grid, or the map ao or bent or thickness" --gpu-memory vase-high.tris --maps normal --gpu-memory 1G
 nothing "triangles without normals" "--scan normals" with.tris --scan normals=flat --two-sided
 nothing "triangles without normals" "--scan normals" vase-high.nvdb --scan normals=auto
 nothing "--normal space=tangent" "--normal green" vase-high.nvdb --normal green=up,space=object

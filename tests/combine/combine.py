@@ -414,7 +414,7 @@ def in_parts(runner, job, base, rng):
 
 def has_device(trial):
     """Returns whether a device other than the processor can trace the scans."""
-    return len(trial.scans) == 1 and trial.scans[0].kind == "nvdb"
+    return len(trial.scans) == 1 or all(scan.kind == "tris" for scan in trial.scans)
 
 
 def on_fake_cuda(runner, job, base, rng):
