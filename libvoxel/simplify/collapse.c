@@ -577,6 +577,7 @@ static int collapse_next(struct collapse *c)
     vox_rings_join(r, u, v, result.position);
     c->into[v] = u;
     c->drifts[u] = drift;
+    c->removed->cost = result.cost / c->unit;
     update_vertex(c, u);
     return 0;
 }
@@ -657,7 +658,7 @@ static int collapse_and_fit(struct collapse *c)
 }
 
 int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_limits *limits,
-                 struct vox_mesh *mesh, struct vox_removed *removed)
+                 const uint8_t *locked, struct vox_mesh *mesh, struct vox_removed *removed)
 {
     static const char what[] = "an edge collapse";
     const uint64_t vertices = mesh->vertex_count;
@@ -680,8 +681,10 @@ int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_limits *limits
     BSQ_TRY(BSQ_ALLOC(ctx, what, vertices, &c.into));
     BSQ_TRY(BSQ_ALLOC(ctx, what, c.heap_capacity, &c.heap));
     memcpy(c.old, mesh->positions, vertices * sizeof *c.old);
-    for (uint32_t v = 0; v < vertices; v++)
+    for (uint32_t v = 0; v < vertices; v++) {
         c.into[v] = v;
+        c.rings.flags[v] |= locked && locked[v] ? VOX_LOCKED | VOX_SHARED : 0;
+    }
     if (limits)
         vox_limits_restart(limits);
     BSQ_TRY(collapse_and_fit(&c));

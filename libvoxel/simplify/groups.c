@@ -1,14 +1,14 @@
-/* groups.c - see steps.h.
+/* groups.c - see groups.h and steps.h.
  *
  * With locked borders, a group keeps about as many vertices as its border has, so a level reduces a
  * mesh to an eighth at most; groups of the next level are as large as groups of this one were. */
-#include "libvoxel/simplify/steps.h"
+#include "libvoxel/simplify/groups.h"
 
 #include <string.h>
 
 #include "base/parallel.h"
 #include "base/text.h"
-#include "base/spill.h"
+#include "libvoxel/simplify/steps.h"
 
 /* CLUSTER_FACTOR: a level begins with clusters if it leaves at least this many times the triangles
  * of the last level. Clusters are faster than collapsing edges, and as good that far from the
@@ -23,63 +23,93 @@ enum {
 /* Clusters leave 1.5 times as many vertices as are wanted; collapsing edges takes away the rest. */
 static const double cluster_more = 1.5;
 
-/* A mesh of a level: of the first one a chunk, of others bytes of a spill: positions, quadrics,
- * triangles and materials. */
-struct member {
-    uint64_t offset;
-    uint32_t vertices, triangles;
-};
-
-struct level {
-    struct bsq_ctx *ctx;
-    const struct fmt_tris_file *chunks; /* of the first level, else NULL */
-    struct bsq_spill spill;             /* of one stream */
-    struct member *members;
-    uint64_t member_count, triangles;
-    const uint32_t *numbers; /* of materials, for the file's ones; NULL: not kept */
-};
-
 /* A step from a level to the next one. */
 struct step {
-    const struct level *from;
-    struct level *to;
-    uint64_t next_member; /* of produce */
+    const struct vox_level *from;
+    struct vox_level *to;
+    uint64_t next_part; /* of produce */
     double ratio;
     bool cluster; /* first */
 };
 
-/* A group of neighbouring members, and then its result. */
+/* A group of neighbouring parts, and then its result. */
 struct slot {
     uint64_t begin, end;
     struct vox_mesh mesh;
 };
 
-/* ---- members ---- */
+/* ---- parts ---- */
 
-static int open_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file, struct level *level)
+static int open_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                       struct vox_level *level)
 {
     const struct fmt_tris_chunk_info *chunks = fmt_tris_chunks(file);
     const uint64_t count = fmt_tris_get_header(file)->chunk_count;
-    *level = (struct level){.ctx = ctx, .chunks = file};
-    BSQ_PASS(BSQ_ALLOC(ctx, "groups of chunks", count, &level->members));
-    level->member_count = count;
+    level->chunks = file;
+    BSQ_PASS(BSQ_ALLOC(ctx, "groups of chunks", count, &level->parts));
+    level->part_count = count;
     for (uint64_t i = 0; i < count; i++) {
-        level->members[i] = (struct member){0, chunks[i].vertex_count, chunks[i].triangle_count};
-        level->triangles += chunks[i].triangle_count;
+        struct vox_part *part = &level->parts[i];
+        *part = (struct vox_part){
+            .vertices = chunks[i].vertex_count, .triangles = chunks[i].triangle_count, .weight = 1};
+        memcpy(part->low, chunks[i].bounds_min, sizeof part->low);
+        memcpy(part->high, chunks[i].bounds_max, sizeof part->high);
+        level->triangles += part->triangles;
     }
     return 0;
 }
 
-static void close_level(struct level *level)
+int vox_level_begin(const struct vox_level *from, uint64_t most, bool quadrics,
+                    struct vox_level *to)
 {
-    bsq_spill_free(&level->spill);
-    bsq_free(level->ctx, level->members);
-    level->members = NULL;
+    *to = (struct vox_level){
+        .ctx = from->ctx, .beside = from->beside, .numbers = from->numbers, .quadrics = quadrics};
+    BSQ_PASS(BSQ_ALLOC(to->ctx, "groups of chunks", most, &to->parts));
+    return bsq_spill_init(&to->spill, to->ctx, "simplified groups", to->beside, 1, 1, PAGE_BYTES,
+                          0);
 }
 
-static int read_chunk(const struct level *level, uint64_t index, struct vox_mesh *mesh)
+void vox_level_free(struct vox_level *level, struct vox_level *to)
 {
-    const struct member *member = &level->members[index];
+    bsq_spill_free(&level->spill);
+    bsq_free(level->ctx, level->parts);
+    if (!to)
+        bsq_free(level->ctx, level->numbers);
+    *level = to ? *to : (struct vox_level){.ctx = level->ctx};
+}
+
+int vox_level_add(struct vox_level *level, const struct vox_mesh *mesh, float weight)
+{
+    struct bsq_spill *spill = &level->spill;
+    struct vox_part *part = &level->parts[level->part_count++];
+    *part = (struct vox_part){spill->list->bytes,
+                              mesh->vertex_count,
+                              mesh->triangle_count,
+                              {INFINITY, INFINITY, INFINITY},
+                              {-INFINITY, -INFINITY, -INFINITY},
+                              weight};
+    for (uint32_t v = 0; v < mesh->vertex_count; v++)
+        for (int k = 0; k < 3; k++) {
+            part->low[k] = fminf(part->low[k], mesh->positions[v][k]);
+            part->high[k] = fmaxf(part->high[k], mesh->positions[v][k]);
+        }
+    level->triangles += mesh->triangle_count;
+    BSQ_PASS(
+        bsq_spill_add(spill, 0, mesh->positions, mesh->vertex_count * sizeof *mesh->positions));
+    if (level->quadrics)
+        BSQ_PASS(
+            bsq_spill_add(spill, 0, mesh->quadrics, mesh->vertex_count * sizeof *mesh->quadrics));
+    BSQ_PASS(
+        bsq_spill_add(spill, 0, mesh->triangles, mesh->triangle_count * sizeof *mesh->triangles));
+    if (mesh->materials)
+        return bsq_spill_add(spill, 0, mesh->materials,
+                             mesh->triangle_count * sizeof *mesh->materials);
+    return 0;
+}
+
+static int read_chunk(const struct vox_level *level, uint64_t index, struct vox_mesh *mesh)
+{
+    const struct vox_part *part = &level->parts[index];
     struct fmt_tris_chunk chunk;
     void *scratch = NULL;
     int status = 0;
@@ -87,10 +117,10 @@ static int read_chunk(const struct level *level, uint64_t index, struct vox_mesh
         bsq_alloc(level->ctx, "a chunk", fmt_tris_load_size(level->chunks, index), 1, &scratch));
     BSQ_TRY(fmt_tris_load(level->chunks, index, scratch, &chunk));
     memcpy(mesh->positions + mesh->vertex_count, chunk.positions,
-           member->vertices * sizeof *mesh->positions);
+           part->vertices * sizeof *mesh->positions);
     memcpy(mesh->triangles + mesh->triangle_count, chunk.triangles,
-           member->triangles * sizeof *mesh->triangles);
-    for (uint32_t t = 0; t < member->triangles && mesh->materials; t++) {
+           part->triangles * sizeof *mesh->triangles);
+    for (uint32_t t = 0; t < part->triangles && mesh->materials; t++) {
         const uint32_t material = chunk.materials ? chunk.materials[t] : UINT32_MAX;
         mesh->materials[mesh->triangle_count + t] =
             material == UINT32_MAX ? UINT32_MAX : level->numbers[material];
@@ -100,37 +130,38 @@ done:
     return status;
 }
 
-static int read_spilled(const struct level *level, uint64_t index, struct vox_mesh *mesh)
+int vox_level_read(const struct vox_level *level, uint64_t index, struct vox_mesh *mesh)
 {
-    const struct member *member = &level->members[index];
-    const uint64_t positions = member->vertices * sizeof *mesh->positions,
-                   quadrics = member->vertices * sizeof *mesh->quadrics,
-                   triangles = member->triangles * sizeof *mesh->triangles;
+    const struct vox_part *part = &level->parts[index];
+    const uint64_t positions = part->vertices * sizeof *mesh->positions,
+                   quadrics = part->vertices * sizeof *mesh->quadrics,
+                   triangles = part->triangles * sizeof *mesh->triangles;
     const struct bsq_spill *spill = &level->spill;
-    uint64_t at = member->offset;
+    uint64_t at = part->offset;
+    if (level->chunks)
+        return read_chunk(level, index, mesh);
     BSQ_PASS(bsq_spill_read(spill, 0, at, positions, mesh->positions + mesh->vertex_count, NULL));
     at += positions;
-    BSQ_PASS(bsq_spill_read(spill, 0, at, quadrics, mesh->quadrics + mesh->vertex_count, NULL));
-    at += quadrics;
+    if (level->quadrics && mesh->quadrics)
+        BSQ_PASS(bsq_spill_read(spill, 0, at, quadrics, mesh->quadrics + mesh->vertex_count, NULL));
+    at += level->quadrics ? quadrics : 0;
     BSQ_PASS(bsq_spill_read(spill, 0, at, triangles, mesh->triangles + mesh->triangle_count, NULL));
     if (mesh->materials)
-        return bsq_spill_read(spill, 0, at + triangles, member->triangles * sizeof *mesh->materials,
+        return bsq_spill_read(spill, 0, at + triangles, part->triangles * sizeof *mesh->materials,
                               mesh->materials + mesh->triangle_count, NULL);
     return 0;
 }
 
-/* Makes a welded mesh of members [begin, end). It has quadrics if `carried` or if it is not of
- * chunks. */
-static int join_members(const struct level *level, uint64_t begin, uint64_t end, bool carried,
-                        struct vox_mesh *mesh)
+/* Makes a welded mesh of parts [begin, end). */
+static int weld_parts(const struct vox_level *level, uint64_t begin, uint64_t end, bool quadrics,
+                      struct vox_mesh *mesh)
 {
-    const bool quadrics = carried || !level->chunks;
     uint64_t vertices = 0, triangles = 0;
     int status = 0;
     *mesh = (struct vox_mesh){0};
     for (uint64_t i = begin; i < end; i++) {
-        vertices += level->members[i].vertices;
-        triangles += level->members[i].triangles;
+        vertices += level->parts[i].vertices;
+        triangles += level->parts[i].triangles;
     }
     /* Corners have numbers of 32 bits. */
     if (vertices > UINT32_MAX / 8 || triangles > UINT32_MAX / 8)
@@ -142,13 +173,13 @@ static int join_members(const struct level *level, uint64_t begin, uint64_t end,
                               level->numbers != NULL, mesh));
     mesh->vertex_count = mesh->triangle_count = 0;
     for (uint64_t i = begin; i < end; i++) {
-        const struct member *member = &level->members[i];
-        BSQ_TRY(level->chunks ? read_chunk(level, i, mesh) : read_spilled(level, i, mesh));
-        for (uint32_t t = 0; t < member->triangles; t++)
+        const struct vox_part *part = &level->parts[i];
+        BSQ_TRY(vox_level_read(level, i, mesh));
+        for (uint32_t t = 0; t < part->triangles; t++)
             for (int k = 0; k < 3; k++)
                 mesh->triangles[mesh->triangle_count + t][k] += mesh->vertex_count;
-        mesh->vertex_count += member->vertices;
-        mesh->triangle_count += member->triangles;
+        mesh->vertex_count += part->vertices;
+        mesh->triangle_count += part->triangles;
     }
     if (level->chunks && quadrics)
         vox_mesh_set_quadrics(mesh);
@@ -159,21 +190,26 @@ done:
     return status;
 }
 
+int vox_level_join(const struct vox_level *level, struct vox_mesh *mesh)
+{
+    return weld_parts(level, 0, level->part_count, false, mesh);
+}
+
 /* ---- a level ---- */
 
 static int produce_group(void *arg, void *slot_, uint64_t sequence)
 {
     struct step *step = arg;
     struct slot *slot = slot_;
-    const struct level *from = step->from;
+    const struct vox_level *from = step->from;
     uint64_t triangles = 0;
     (void)sequence;
-    *slot = (struct slot){.begin = step->next_member, .end = step->next_member};
-    while (slot->end < from->member_count &&
+    *slot = (struct slot){.begin = step->next_part, .end = step->next_part};
+    while (slot->end < from->part_count &&
            (slot->end == slot->begin ||
-            triangles + from->members[slot->end].triangles <= GROUP_TRIANGLES))
-        triangles += from->members[slot->end++].triangles;
-    step->next_member = slot->end;
+            triangles + from->parts[slot->end].triangles <= GROUP_TRIANGLES))
+        triangles += from->parts[slot->end++].triangles;
+    step->next_part = slot->end;
     return slot->end > slot->begin;
 }
 
@@ -183,7 +219,7 @@ static int collapse_group(void *arg, void *slot_, uint64_t sequence, unsigned wo
     struct slot *slot = slot_;
     (void)sequence, (void)worker;
     int status = 0;
-    BSQ_TRY(join_members(step->from, slot->begin, slot->end, true, &slot->mesh));
+    BSQ_TRY(weld_parts(step->from, slot->begin, slot->end, true, &slot->mesh));
     const uint32_t target = (uint32_t)(step->ratio * slot->mesh.triangle_count) + 1;
     if (step->cluster)
         BSQ_TRY(vox_cluster(step->from->ctx, cluster_more * step->ratio, &slot->mesh));
@@ -198,24 +234,12 @@ static int write_group(void *arg, void *slot_, uint64_t sequence)
 {
     const struct step *step = arg;
     struct slot *slot = slot_;
-    struct level *to = step->to;
-    const struct vox_mesh *mesh = &slot->mesh;
+    struct vox_level *to = step->to;
     int status = 0;
-    to->members[sequence] =
-        (struct member){to->spill.list->bytes, mesh->vertex_count, mesh->triangle_count};
-    to->member_count = sequence + 1;
-    to->triangles += mesh->triangle_count;
-    BSQ_TRY(bsq_spill_add(&to->spill, 0, mesh->positions,
-                          mesh->vertex_count * sizeof *mesh->positions));
-    BSQ_TRY(
-        bsq_spill_add(&to->spill, 0, mesh->quadrics, mesh->vertex_count * sizeof *mesh->quadrics));
-    BSQ_TRY(bsq_spill_add(&to->spill, 0, mesh->triangles,
-                          mesh->triangle_count * sizeof *mesh->triangles));
-    if (mesh->materials)
-        BSQ_TRY(bsq_spill_add(&to->spill, 0, mesh->materials,
-                              mesh->triangle_count * sizeof *mesh->materials));
+    (void)sequence;
+    BSQ_TRY(vox_level_add(to, &slot->mesh, 1));
     for (uint64_t i = slot->begin; i < slot->end; i++)
-        bsq_progress_add(to->ctx, step->from->members[i].triangles);
+        bsq_progress_add(to->ctx, step->from->parts[i].triangles);
 done:
     vox_mesh_free(to->ctx, &slot->mesh);
     return status;
@@ -223,17 +247,16 @@ done:
 
 /* Returns how many groups are in work at most: fewer than threads could reduce if memory is small.
  */
-static unsigned count_slots(const struct level *level)
+static unsigned count_slots(const struct vox_level *level)
 {
     uint64_t most = GROUP_TRIANGLES;
-    for (uint64_t i = 0; i < level->member_count; i++)
-        most = level->members[i].triangles > most ? level->members[i].triangles : most;
+    for (uint64_t i = 0; i < level->part_count; i++)
+        most = level->parts[i].triangles > most ? level->parts[i].triangles : most;
     return bsq_workers_within(level->ctx, 2 * bsq_threads(level->ctx), most * WORK_BYTES);
 }
 
 /* Makes the next level in *to. */
-static int reduce_level(const struct level *from, uint64_t target, const char *beside,
-                        struct level *to)
+static int reduce_level(const struct vox_level *from, uint64_t target, struct vox_level *to)
 {
     const uint64_t least = from->triangles / LEVEL_FACTOR;
     const unsigned slot_count = count_slots(from);
@@ -244,10 +267,8 @@ static int reduce_level(const struct level *from, uint64_t target, const char *b
                             (double)(target > least ? target : least) / (double)from->triangles,
                         .cluster = least / CLUSTER_FACTOR >= target};
     int status = 0;
-    *to = (struct level){.ctx = from->ctx, .numbers = from->numbers};
-    BSQ_TRY(BSQ_ALLOC(to->ctx, "groups of chunks", from->member_count, &to->members));
+    BSQ_TRY(vox_level_begin(from, from->part_count, true, to));
     BSQ_TRY(BSQ_CALLOC(to->ctx, "groups of chunks", slot_count, &slots));
-    BSQ_TRY(bsq_spill_init(&to->spill, to->ctx, "simplified groups", beside, 1, 1, PAGE_BYTES, 0));
     const struct bsq_pipeline pipeline = {.produce = produce_group,
                                           .work = collapse_group,
                                           .emit = write_group,
@@ -297,27 +318,22 @@ done:
 }
 
 int vox_reduce_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file, uint64_t target,
-                      const char *beside, bool materials, struct vox_mesh *mesh)
+                      const char *beside, bool materials, struct vox_level *level)
 {
-    struct level level = {.ctx = ctx}, next;
     uint64_t before = UINT64_MAX;
-    uint32_t *numbers = NULL;
     int status = 0;
-    BSQ_TRY(open_chunks(ctx, file, &level));
+    *level = (struct vox_level){.ctx = ctx, .beside = beside};
+    BSQ_TRY(open_chunks(ctx, file, level));
     if (materials)
-        BSQ_TRY(number_materials(ctx, fmt_tris_get_header(file), &numbers));
-    level.numbers = numbers;
+        BSQ_TRY(number_materials(ctx, fmt_tris_get_header(file), &level->numbers));
     /* A level that takes away less than a tenth has little but borders of groups. */
-    while (level.triangles > target && level.triangles < before - before / 10) {
-        before = level.triangles;
-        status = reduce_level(&level, target, beside, &next);
-        close_level(&level);
-        level = next;
+    while (level->triangles > target && level->triangles < before - before / 10) {
+        struct vox_level next = {.ctx = ctx};
+        before = level->triangles;
+        status = reduce_level(level, target, &next);
+        vox_level_free(level, &next);
         BSQ_TRY(status);
     }
-    status = join_members(&level, 0, level.member_count, false, mesh);
 done:
-    close_level(&level);
-    bsq_free(ctx, numbers);
     return status;
 }

@@ -14,6 +14,7 @@
 enum {
     VOX_BORDER = 1, /* of a vertex: at an edge with one triangle, or between materials */
     VOX_LOCKED = 2, /* stays: at an edge with three triangles or more, or as options say */
+    VOX_SHARED = 4, /* locked, and in other meshes, too, so that its piece stays */
     VOX_NONE = UINT32_MAX,
     VOX_CHECK_EVERY = 1024 /* collapses between two looks at an interruption */
 };

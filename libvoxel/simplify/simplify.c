@@ -10,13 +10,16 @@
 #include "libvoxel/simplify/steps.h"
 #include "libvoxel/temp_tris.h"
 
-/* Triangles in memory for the last collapse: enough that what comes before it does not show, see
- * docs/decisions; of large meshes fewer, for memory. For an error, as many as its mesh may need. */
+/* Triangles for the last collapse: enough that what comes before it does not show, see
+ * docs/decisions; of large meshes fewer, for time. For an error, as many as its mesh may need. More
+ * than WHOLE_TRIANGLES collapse in regions. */
 enum {
     LAST_FACTOR = 6,
     LAST_FACTOR_LARGE = 4,
     LAST_TRIANGLES = 200000,
     LAST_TRIANGLES_LARGE = 4000000,
+    WHOLE_TRIANGLES = 5000000,
+    REGION_TRIANGLES = 1 << 20,
     ERROR_TRIANGLES = 1500000,
     ERROR_STEP = 4,
     ERROR_ROUNDS = 16
@@ -30,6 +33,7 @@ struct simplifying {
     struct vox_simplify_report *report;
     struct fmt_tris_file *file;
     const struct fmt_tris_header *header;
+    struct vox_level level; /* empty once the mesh is in memory */
     struct vox_mesh mesh;
     struct vox_removed removed; /* on the way to `mesh` */
     struct bsq_output_group outputs;
@@ -72,6 +76,7 @@ static int drop_pieces(struct simplifying *s)
     int status = 0;
     if (!(s->options->min_component > 0) && s->options->min_triangles == 0)
         return 0;
+    s->report->dropped_pieces = s->report->dropped_triangles = 0; /* regions have kept them */
     BSQ_TRY(BSQ_ALLOC(s->ctx, "pieces", mesh->vertex_count, &parents));
     BSQ_TRY(BSQ_ALLOC(s->ctx, "pieces", mesh->vertex_count, &pieces));
     for (uint32_t v = 0; v < mesh->vertex_count; v++) {
@@ -118,7 +123,7 @@ static int collapse_to(struct simplifying *s, struct vox_mesh *mesh, uint64_t ta
     const uint64_t more = mesh->triangle_count > target ? mesh->triangle_count - target : 0;
     bsq_progress_begin(s->ctx, "collapsing edges", "triangles", more);
     int status = vox_collapse(s->ctx, target < UINT32_MAX ? (uint32_t)target : UINT32_MAX, limits,
-                              mesh, &s->removed);
+                              NULL, mesh, &s->removed);
     bsq_progress_end(s->ctx);
     s->report->seconds_collapse += bsq_seconds_now() - start;
     return status;
@@ -149,6 +154,17 @@ static int write_level(struct simplifying *s, uint32_t level)
     BSQ_PASS(fmt_low_mesh_write(s->ctx, s->options->output_paths[level], &mesh, s->header,
                                 s->options->hard_angle, &output));
     return bsq_output_group_add(&s->outputs, output);
+}
+
+/* Takes the mesh into memory for collapses to a number of triangles. */
+static int take_mesh(struct simplifying *s, uint64_t target)
+{
+    BSQ_PASS(vox_level_join(&s->level, &s->mesh));
+    vox_level_free(&s->level, NULL);
+    /* Where few edges collapse, the triangles that close slits would stay. */
+    if (target < s->mesh.triangle_count / 2)
+        BSQ_PASS(vox_mesh_close_slits(s->ctx, &s->mesh));
+    return drop_pieces(s);
 }
 
 static double largest(const struct vox_simplified *level)
@@ -212,6 +228,7 @@ static int simplify_to_error(struct simplifying *s)
     int status = 0;
     *kept = (struct vox_simplified){.target = 0};
     s->report->level_count = 1;
+    BSQ_TRY(take_mesh(s, 0));
     BSQ_TRY(measure(s, &s->mesh, kept));
     if (largest(kept) > error) {
         status = bsq_fail(s->ctx, BSQ_EDATA,
@@ -238,15 +255,33 @@ done:
     return status;
 }
 
+/* Collapses regions to a number of triangles. What small pieces keep of these is missing then. */
+static int collapse_level(struct simplifying *s, uint64_t target)
+{
+    const double start = bsq_seconds_now();
+    BSQ_PASS(vox_collapse_regions(&s->level, target, REGION_TRIANGLES, &s->removed));
+    s->report->seconds_collapse += bsq_seconds_now() - start;
+    BSQ_PASS(vox_level_join(&s->level, &s->mesh));
+    return drop_pieces(s);
+}
+
 static int simplify_to_targets(struct simplifying *s)
 {
     for (uint32_t i = 0; i < s->options->target_count; i++) {
         struct vox_simplified *level = &s->report->levels[i];
         *level = (struct vox_simplified){.target = s->options->targets[i]};
         s->report->level_count = i + 1;
-        BSQ_PASS(collapse_to(s, &s->mesh, level->target, NULL));
+        if (s->level.triangles > WHOLE_TRIANGLES) {
+            BSQ_PASS(collapse_level(s, level->target));
+        } else {
+            if (s->level.parts)
+                BSQ_PASS(take_mesh(s, level->target));
+            BSQ_PASS(collapse_to(s, &s->mesh, level->target, NULL));
+        }
         BSQ_PASS(measure(s, &s->mesh, level));
         BSQ_PASS(write_level(s, i));
+        if (s->level.parts)
+            vox_mesh_free(s->ctx, &s->mesh);
     }
     return 0;
 }
@@ -330,7 +365,7 @@ static int reduce(struct simplifying *s)
         last = last < LAST_FACTOR_LARGE * target ? LAST_FACTOR_LARGE * target : last;
     }
     int status = vox_reduce_chunks(s->ctx, s->file, last, options->output_paths[0],
-                                   options->keep_materials, &s->mesh);
+                                   options->keep_materials, &s->level);
     s->report->seconds_reduce = bsq_seconds_now() - start;
     return status;
 }
@@ -343,7 +378,8 @@ void vox_simplify_defaults(struct vox_simplify_options *options)
 int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options,
                  struct vox_simplify_report *report)
 {
-    struct simplifying s = {.ctx = ctx, .options = options, .report = report};
+    struct simplifying s = {
+        .ctx = ctx, .options = options, .report = report, .level = {.ctx = ctx}};
     const uint64_t temp_before = bsq_temp_bytes(ctx);
     int status = 0;
     BSQ_TRY(bsq_clear_report(ctx, "vox_simplify_report", report, sizeof *report));
@@ -351,10 +387,6 @@ int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options
     BSQ_TRY(check_options(ctx, options));
     BSQ_TRY(open_scan(&s));
     BSQ_TRY(reduce(&s));
-    /* Where few edges collapse, the triangles that close slits would stay. */
-    if (options->target_count == 0 || options->targets[0] < s.mesh.triangle_count / 2)
-        BSQ_TRY(vox_mesh_close_slits(ctx, &s.mesh));
-    BSQ_TRY(drop_pieces(&s));
     BSQ_TRY(options->target_count > 0 ? simplify_to_targets(&s) : simplify_to_error(&s));
     status = bsq_output_group_commit(&s.outputs);
     report->dropped_pieces += s.removed.pieces;
@@ -364,6 +396,7 @@ int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options
 done:
     bsq_output_group_discard(&s.outputs);
     vox_mesh_free(ctx, &s.mesh);
+    vox_level_free(&s.level, NULL);
     fmt_tris_close(s.file);
     return status;
 }
@@ -382,16 +415,19 @@ int vox_measure_mesh(struct bsq_ctx *ctx, const char *scan_path, const struct vo
                      struct vox_distances *from_mesh)
 {
     struct fmt_tris_file *file = NULL, *low = NULL;
+    struct vox_level parts = {.ctx = ctx};
     struct vox_mesh whole = {0};
     int status = 0;
     BSQ_TRY(scan ? fmt_tris_open_temp(ctx, &scan->file, &file)
                  : fmt_tris_open(ctx, scan_path, &file));
     BSQ_TRY(fmt_tris_open_temp(ctx, &mesh->file, &low));
-    BSQ_TRY(vox_reduce_chunks(ctx, low, UINT64_MAX, NULL, false, &whole));
+    BSQ_TRY(vox_reduce_chunks(ctx, low, UINT64_MAX, NULL, false, &parts));
+    BSQ_TRY(vox_level_join(&parts, &whole));
     move_mesh(&whole, fmt_tris_get_header(low)->origin, fmt_tris_get_header(file)->origin);
     status = vox_measure(ctx, file, &whole, NULL, boxes, box_count, from_scan, from_mesh);
 done:
     vox_mesh_free(ctx, &whole);
+    vox_level_free(&parts, NULL);
     fmt_tris_close(low);
     fmt_tris_close(file);
     return status;

@@ -3,22 +3,22 @@
 #define VOX_SIMPLIFY_STEPS_H
 
 #include "formats/chunks/tris.h"
-#include "libvoxel/simplify/mesh.h"
+#include "libvoxel/simplify/groups.h"
 #include "libvoxel/voxel.h"
 
-/* ---- groups.c: from the chunks of a scan to a mesh that fits in memory ----
+/* ---- groups.c: from the chunks of a scan to a few triangles ----
  *
  * Neighbouring chunks form groups. Each group is a mesh whose edges collapse while the vertices of
  * its border stay, so that it still fits its neighbours. The results form groups again, whose inner
  * borders are free now, until few enough triangles are left. */
 
-/* Makes a welded mesh of about `target` triangles, or of all triangles of the scan if it has no
- * more. Groups and results depend on the scan and the target alone, not on memory or threads.
- * `beside`: an output, for temporary files. materials: the mesh has them, those of equal names as
- * the first of these, and vertices between them stay. The caller frees *mesh. Errors: BSQ_ENOMEM,
- * BSQ_EIO, BSQ_EDATA, BSQ_EINTR. */
+/* Makes a level of about `target` triangles, or of all triangles of the scan if it has no more.
+ * Groups and results depend on the scan and the target alone, not on memory or threads. `beside`:
+ * an output, for temporary files. materials: the level has them, those of equal names as the first
+ * of these, and vertices between them stay. The caller frees *level, also after failure. Errors:
+ * BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA, BSQ_EINTR. */
 int vox_reduce_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file, uint64_t target,
-                      const char *beside, bool materials, struct vox_mesh *mesh);
+                      const char *beside, bool materials, struct vox_level *level);
 
 /* ---- cluster.c: a first reduction of meshes that are far finer than the result ----
  *
@@ -58,16 +58,27 @@ struct vox_limits; /* limits.h */
 struct vox_removed {
     uint64_t pieces, triangles; /* pieces that were small, and their triangles when they went */
     uint64_t handles;           /* cut through: also tunnels, and necks between two parts */
+    double cost;                /* of the last edge */
 };
 
 /* Collapses edges of a welded mesh, cheapest first, until `target` triangles are left or no edge
  * can collapse. Small pieces and narrow handles go when that costs no more; *removed counts them.
  * Then fits and compacts the mesh. limits: NULL, or of a mesh that this one is a copy of; they hold
- * for each step, and then pieces and handles stay and no folds are made. Counts triangles as
- * progress of the context. The result depends on the mesh, the target and the limits alone. Errors:
+ * for each step, and then pieces and handles stay and no folds are made. locked: NULL, or of
+ * vertices: 1 for those that stay, and their pieces with them. Counts triangles as progress of the
+ * context. The result depends on the mesh, the target, the limits and what is locked alone. Errors:
  * BSQ_ENOMEM, BSQ_EINTR. */
 int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_limits *limits,
-                 struct vox_mesh *mesh, struct vox_removed *removed);
+                 const uint8_t *locked, struct vox_mesh *mesh, struct vox_removed *removed);
+
+/* ---- regions.c: the last phase of meshes that do not fit in memory ---- */
+
+/* Replaces a level by one of `target` triangles, or a few less. Collapses edges region by region,
+ * each of about `limit` triangles, in three passes with borders at other places, so that none stay.
+ * Regions and results depend on the arguments alone. *removed receives the sums.
+ * Errors: BSQ_ENOMEM, BSQ_EIO, BSQ_ECANTCREAT, BSQ_EDATA, BSQ_EINTR. */
+int vox_collapse_regions(struct vox_level *level, uint64_t target, uint64_t limit,
+                         struct vox_removed *removed);
 
 /* ---- measure.c: how far a low-poly mesh is from its scan, both ways ---- */
 

@@ -104,7 +104,7 @@ static void search_places(const struct vox_rings *r, const struct vox_place *pla
 
 /* ---- small pieces ---- */
 
-/* Lists the vertices of v's piece, or none if they are too many. */
+/* Lists the vertices of v's piece, or none if they are too many, or it goes on elsewhere. */
 static void list_piece(struct vox_rings *r, uint32_t v, struct vox_small_piece *piece)
 {
     *piece = (struct vox_small_piece){.vertices = {v}, .count = 1, .nearest = VOX_NONE};
@@ -114,7 +114,7 @@ static void list_piece(struct vox_rings *r, uint32_t v, struct vox_small_piece *
                 const uint32_t w = vox_words(r, k)[1 + i];
                 if (has_vertex(piece, w))
                     continue;
-                if (piece->count == VOX_PIECE_VERTICES) {
+                if (piece->count == VOX_PIECE_VERTICES || (r->flags[w] & VOX_SHARED)) {
                     piece->count = 0;
                     return;
                 }

@@ -56,7 +56,7 @@ static void collapse(struct vox_mesh *mesh, bool thin, uint32_t target)
 {
     vox_mesh_set_quadrics(mesh);
     assert_int_equal(
-        thin ? vox_thin(ctx, target, mesh) : vox_collapse(ctx, target, NULL, mesh, &removed), 0);
+        thin ? vox_thin(ctx, target, mesh) : vox_collapse(ctx, target, NULL, NULL, mesh, &removed), 0);
 }
 
 static void cluster(struct vox_mesh *mesh, double share)
@@ -260,7 +260,7 @@ TEST(scale_does_not_matter)
         for (uint32_t v = 0; v < scaled.vertex_count; v++)
             for (int k = 0; k < 3; k++)
                 scaled.positions[v][k] = ldexpf(scaled.positions[v][k], exponents[i]);
-        assert_int_equal(vox_collapse(ctx, 300, NULL, &scaled, &removed), 0);
+        assert_int_equal(vox_collapse(ctx, 300, NULL, NULL, &scaled, &removed), 0);
         assert_int_equal(scaled.triangle_count, plain.triangle_count);
         assert_memory_equal(scaled.triangles, plain.triangles,
                             plain.triangle_count * sizeof *plain.triangles);
@@ -518,7 +518,7 @@ TEST(memory_runs_out)
         vox_mesh_set_quadrics(&mesh);
         ctx = small;
         const int clustered = vox_cluster(ctx, 0.9, &mesh);
-        const int status = vox_collapse(ctx, 1000, NULL, &mesh, &removed);
+        const int status = vox_collapse(ctx, 1000, NULL, NULL, &mesh, &removed);
         const int thinned = vox_thin(ctx, 100, &mesh);
         const int welded = vox_mesh_weld(ctx, &mesh);
         ctx = large;
