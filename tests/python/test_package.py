@@ -363,12 +363,12 @@ def test_options_of_asset_are_in_its_man_page():
 def test_basecolor_is_a_name_of_color(scan, low, tmp_path):
     scan = bisque.Mesh(*scan, colors=np.full((len(scan[0]), 3), 90, np.uint8))
     assert list(bisque.bake(scan, low, "basecolor", size=16)) == ["color"]
-    level, = bisque.asset(scan, tmp_path / "a.glb", low=low, size=16, maps="basecolor,color".split(","))["levels"]
+    level, = bisque.asset(scan, tmp_path / "a.glb", low=low, size=16, maps="basecolor, color,")["levels"]
     assert "color.png" in level["files"] and "color_error" in level
 
 
 def test_asset_names_the_option_that_is_meant():
-    for given, meant in (("--resolution", "--size"), ("--trianglse=4", "--triangles"), ("--memroy", "--memory")):
+    for given, meant in (("--resolution", "--size"), ("--resolutoin", "--size"), ("--trianglse=4", "--triangles"), ("--memroy", "--memory")):
         done = asset("a.obj", given, 512, code=64)
         assert done.stderr == (f"bisque-asset: unrecognized option '{given.partition('=')[0]}'; "
                                f"the nearest is {meant}\n")

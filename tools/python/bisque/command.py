@@ -84,14 +84,9 @@ class _Parser(argparse.ArgumentParser):
         for word in words[:words.index("--")] if "--" in words else words:
             name = word.partition("=")[0]
             if name.startswith("--") and name not in known:
-                near = OTHER_NAMES.get(name) or next(iter(difflib.get_close_matches(name, known, 1, 0.7)), None)
-                if near:
-                    raise ValueError(f"unrecognized option '{name}'; the nearest is {near}")
+                for near in difflib.get_close_matches(name, [*known, *OTHER_NAMES], 1, 0.7):
+                    raise ValueError(f"unrecognized option '{name}'; the nearest is {OTHER_NAMES.get(near, near)}")
                 self.error(f"unrecognized option '{name}'")
-
-
-def _names(text: str) -> list[str] | None:
-    return core.own_names(text.split(",")) if text else None
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -118,7 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--up", metavar="AXIS", help="that points upwards in the scan: x, y, z, -x, -y or -z")
     parser.add_argument("--units", metavar="UNIT", help="of the scan: mm, cm, m or in")
     parser.add_argument("--scale", type=float, metavar="X", help="multiply the asset by X")
-    parser.add_argument("--maps", type=_names, metavar="LIST", help="such as normal,color,ao")
+    parser.add_argument("--maps", type=core.own_names, metavar="LIST", help="such as normal,color,ao")
     parser.add_argument("--images", choices=IMAGES, help="of the GLB file; jpeg: but for normals")
     parser.add_argument("--geometry", choices=GEOMETRIES, default="none", help="how it is packed in the GLB file")
     parser.add_argument("--samples", type=int, default=2, metavar="N", help="N x N a texel")

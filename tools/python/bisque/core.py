@@ -572,9 +572,11 @@ def map_names() -> dict[str, int]:
 
 
 def own_names(maps: str | Sequence[str]) -> list[str]:
-    """Returns maps by their own names, as "color" for "basecolor". "opacity" stays: it is a channel of scans."""
+    """Returns maps, also "normal, color", by their own names, as "color" for "basecolor". "opacity" stays: it is a
+    channel of scans."""
     others = {_text(lib.bake_map_alias(i)): name for name, i in map_names().items() if name != "mask"}
-    return [others.get(name) or name for name in ((maps,) if isinstance(maps, str) else maps)]
+    words = map(str.strip, maps.split(",")) if isinstance(maps, str) else maps
+    return [others.get(name) or name for name in words if name]
 
 
 def check_maps(maps: Sequence[str]) -> None:

@@ -41,7 +41,7 @@ def check_options(triangles: Any, error: Any, unit: float, *, min_component: Any
     if triangles is not None and error is not None:
         raise ValueError("triangles and error: only one of them makes a mesh")
     if triangles is not None:
-        triangles = check_triangles(triangles, 1)
+        triangles = check_triangles(triangles, 4)
     if winding not in ("auto", "keep"):
         raise ValueError(f"winding: {winding!r} is none of auto, keep")
     if not 0 <= hard_angle <= 180:  # also NaN

@@ -315,7 +315,7 @@ def tiles(scan: Any, output: str | os.PathLike, *, tile_triangles: int = 10_000,
     glb.check_options(**packing)
     if not 0 <= unwrap_seconds <= 1e9:
         raise ValueError(f"unwrap_seconds: a number from 0 to 1e+09 is needed, not {unwrap_seconds:g}")
-    maps = list(dict.fromkeys((maps,) if isinstance(maps, str) else maps))
+    maps = list(dict.fromkeys(core.own_names(maps)))
     if not set(maps) <= {"normal", "color"} or not maps:
         raise ValueError(f"maps: tiles have normal and color, not {','.join(maps)}")
     place, share = check_place(place), _parse_part(part)
