@@ -16,6 +16,7 @@ import referencing
 import trimesh
 from bisque.asset import PUBLISHED
 from bisque.steps import Folder
+from bisque.uv import extend_charts
 from conftest import HEIGHT, RADIUS, command_of, run_asset, sphere
 from PIL import Image
 
@@ -319,6 +320,24 @@ def test_tiles_of_a_level_look_alike_at_their_borders(made, read):
     assert len(colors) > 100
     assert np.mean(colors) < 1  # of 255
     assert np.degrees(np.arccos(np.clip(cosines, -1, 1))).mean() < 2
+
+
+def test_strips_around_charts_go_on_as_their_triangles_do():
+    u, v = (side.ravel() for side in np.meshgrid([0.2, 0.4, 0.6, 1.0], [0.0, 0.4, 0.7], indexing="ij"))
+    uvs, across = np.stack([u, v], axis=1), np.array([[2.0, 0, 1], [0, 3, -1]])
+    corner = np.array([[i * 3 + j, i * 3 + 3 + j, i * 3 + 4 + j, i * 3 + 1 + j] for i in range(3) for j in range(2)])
+    faces = np.concatenate([corner[:, [0, 1, 2]], corner[:, [0, 2, 3]]])
+    mesh = bisque.Mesh(uvs @ across, faces, uvs, faces, np.tile([-1 / 2, 1 / 3, 1], (12, 1)), faces)
+    found = extend_charts(mesh, 100)
+    assert (found.faces[:12] == faces).all() and len(found.faces) == 12 + 2 * 10  # ten edges are at the border
+    assert np.abs(found.vertices - found.uvs @ across).max() < 1e-12
+    assert np.abs(found.normals - mesh.normals[0]).max() < 1e-12
+    # As wide as one and a half texels, but not beyond the map.
+    assert np.allclose([found.uvs.min(axis=0), found.uvs.max(axis=0)], [[0.185, 0], [1, 0.715]])
+    a, b = (found.uvs[found.uv_faces[:, k]] - found.uvs[found.uv_faces[:, 0]] for k in (1, 2))
+    areas = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    # Its area, and that of the rectangle around it that is within the map.
+    assert np.allclose([areas[:12].sum() / 2, np.abs(areas).sum() / 2], [0.8 * 0.7, 0.815 * 0.715])
 
 
 # ---- pictures ----

@@ -97,9 +97,11 @@ def _finish_tile(tile: Tile, baked: Glb, number: int, width: float, path: Path, 
     root = baked.head
     primitive = root["meshes"][0]["primitives"][number]
     attributes, faces = baked.primitive(primitive)
-    if len(faces) != len(tile.part.faces):
+    if len(faces) < len(tile.part.faces):
         raise Error(70, f"tile {tile.name}: {len(faces)} triangles of {len(tile.part.faces)} were baked")
-    rows = np.concatenate([attributes[name] for name, _, _ in COLUMNS], axis=1).astype(np.float32)
+    used, faces = np.unique(faces[:len(tile.part.faces)], return_inverse=True)  # strips around charts follow
+    faces = faces.reshape(-1, 3)
+    rows = np.concatenate([attributes[name][used] for name, _, _ in COLUMNS], axis=1).astype(np.float32)
     rows[faces.ravel(), :6] = tile.part.points[tile.part.faces.ravel(), :6]  # relative to the origin of all tiles
     rows, faces = add_skirt(tile, rows, faces, width)
     material = root["materials"][primitive["material"]]
@@ -222,7 +224,8 @@ def _unwrap(steps: Steps, name: str, tiles: list[Tile], obj: Path, options: dict
 
     def make() -> list[dict]:
         meshes = _each(steps, "unwrapping", unwrap_one, len(tiles), job["threads"])
-        _write_batch(obj, meshes, [tile.name for tile in tiles], origin)
+        extended = [uv.extend_charts(mesh, options["size"]) for mesh in meshes]
+        _write_batch(obj, extended, [tile.name for tile in tiles], origin)
         return [mesh.report["uv"] for mesh in meshes]
 
     return steps.run(f"unwrap {name}", [], {**chosen, "content": _digest(tiles)}, [obj], make, parts)

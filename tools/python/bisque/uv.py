@@ -33,6 +33,8 @@ ADVICE = ("ask for fewer triangles, drop small pieces (min_component=1), or take
 SMALL_TEXELS, WANTED_TEXELS, MOST_SMALL = 16, 24, 0.03
 #: The library may split charts that got larger.
 MOST_RUNS = 3
+#: Strips around charts: their width in texels, and how many times farther than the triangle reaches they go at most.
+STRIP_TEXELS, MOST_BEYOND = 1.5, 16
 
 
 # ---- the libraries, in a process of their own that can be stopped ----
@@ -207,6 +209,42 @@ def _turn_mirrored(mesh: Mesh, uvs: np.ndarray) -> tuple[np.ndarray, int]:
         u = uvs[corners, :, 0]
         uvs[corners, :, 0] = u.min() + u.max() - u
     return uvs, int((signed < 0).sum())
+
+
+def extend_charts(mesh: Mesh, size: int) -> Mesh:
+    """Returns a mesh whose charts have strips around them, which follow all its triangles. They go on as the
+    triangles inside of them do, in space too. So a bake gives texels that filters read beyond a chart what the scan has
+    there, and both sides of a seam look alike. The mesh has normals, and texture coordinates for maps of `size`."""
+    corners = np.arange(mesh.faces.size).reshape(-1, 3)
+    edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)
+    ends, uvs = mesh.uv_faces.ravel()[edges].astype(np.int64), mesh.uvs.astype(np.float64)
+    outer = ~np.isin(ends @ [len(uvs), 1], ends @ [1, len(uvs)])
+    edges, ends = edges[outer], ends[outer]
+    along = uvs[ends[:, 1]] - uvs[ends[:, 0]]
+    outwards = along[:, ::-1] * [1, -1] / np.linalg.norm(along, axis=1).clip(1e-30)[:, None]
+    sums = np.zeros_like(uvs)
+    for k in range(2):
+        np.add.at(sums, ends[:, k], outwards)
+    mitres = 2 * sums / (sums ** 2).sum(axis=1).clip(1)[:, None]  # up to twice as long as the strip is wide
+    tips = (uvs + STRIP_TEXELS / size * mitres).clip(0, 1)[ends]
+    triangles = edges[:, 0] // 3
+    inside, weights = uvs[mesh.uv_faces[triangles]], np.empty((len(edges), 2, 3))
+    with np.errstate(all="ignore"):
+        for end, k in np.ndindex(2, 3):
+            moved = inside.copy()
+            moved[:, k] = tips[:, end]
+            weights[:, end, k] = _signed_areas(moved) / _signed_areas(inside)
+        good = (np.abs(weights) < MOST_BEYOND).all(axis=(1, 2))
+    edges, weights, tips, triangles = edges[good], weights[good], tips[good], triangles[good]
+
+    def add(rows: np.ndarray, faces: np.ndarray, new: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        new = weights @ rows[faces[triangles]] if new is None else new
+        (a, b), first = faces.ravel()[edges].T, len(rows) + 2 * np.arange(len(edges))
+        strips = [np.stack(of, axis=1) for of in ((b, a, first), (b, first, first + 1))]
+        return np.concatenate([rows, new.reshape(-1, rows.shape[1])]), np.concatenate([faces, *strips])
+
+    return Mesh(*add(mesh.vertices, mesh.faces), *add(mesh.uvs, mesh.uv_faces, tips),
+                *add(mesh.normals, mesh.normal_faces), report=mesh.report)
 
 
 def unwrap(low: Any, *, size: int = 2048, padding: int = 4, library: str = USUAL,
