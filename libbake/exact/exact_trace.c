@@ -120,16 +120,18 @@ static void get_bundle(const struct bake_ray_batch *batch, uint64_t first, struc
     }
 }
 
-/* Takes a hit of a ray, unless another chunk has found a better one meanwhile. */
-static void trace_take_hit(struct bake_hit *hit, const struct exact_best *best)
+/* Takes a hit of a ray, unless another chunk has found a better one meanwhile, or the ray has it
+ * since an earlier batch. Returns whether it was taken. */
+static bool trace_take_hit(struct bake_hit *hit, const struct exact_best *best)
 {
     if (hit->triangle != BAKE_NO_HIT &&
         !bk_wins(best->t, best->triangle, hit->t, hit->triangle, best->reach))
-        return;
+        return false;
     hit->t = best->t;
     hit->triangle = best->triangle;
     hit->normal[0] = best->w1;
     hit->normal[1] = best->w2;
+    return true;
 }
 
 /* ---- on devices ---- */
@@ -180,8 +182,7 @@ static void take_first_hits(const struct wave *wave, const struct exact_slot *sl
             .w1 = hits[i].w1,
             .w2 = hits[i].w2,
             .reach = batch->reaches ? (double)batch->reaches[first + i] : 0};
-        trace_take_hit(&batch->hits[first + i], &best);
-        found |= 1u << i;
+        found |= (unsigned)trace_take_hit(&batch->hits[first + i], &best) << i;
     }
     pthread_mutex_unlock(lock);
     wave->buckets->found[entry] = (uint16_t)found;
@@ -231,8 +232,8 @@ static void trace_trace_bundle(struct wave *wave, const struct exact_slot *slot,
         pthread_mutex_lock(lock);
         for (; improved; improved &= improved - 1) {
             const unsigned i = (unsigned)__builtin_ctz(improved), ray = bundle.numbers[i];
-            trace_take_hit(&wave->batch->hits[first + ray], &bundle.best[i]);
-            found |= 1u << ray;
+            found |= (unsigned)trace_take_hit(&wave->batch->hits[first + ray], &bundle.best[i])
+                     << ray;
         }
         pthread_mutex_unlock(lock);
     }

@@ -15,6 +15,8 @@ names="ao bent thickness $(echo $first | tr , ' ')"
 usual="--threads 2 --size 96x64 --type float --maps ao,bent,thickness,$first --rays ao=12,thickness=4 vase.tris low.obj"
 other="--threads 3 --size 64x40 --samples 1 --type float --maps ao,bent,thickness,$first --rays ao=70,thickness=5
     --ao falloff=linear,spread=100 --distance ao=0.2,thickness=0.1 --two-sided --memory 100M vase.tris low.obj"
+# Batches that meet chunks again, in which rays have hits.
+small="--threads 2 --memory 20M --size 256 --maps normal vase.tris low.obj"
 several="--threads 2 --size 64x40 --type float --maps ao,bent,thickness,$first --rays ao=12,thickness=4
     --extrude 0.1 vase.tris near.tris low.obj"
 
@@ -39,6 +41,8 @@ json '.device == "cpu, 2 threads, exact"'
 ok run bisque-bake --device cpu $other -o 'cpu.other.<MAP>.exr'
 # shellcheck disable=SC2086
 ok run bisque-bake --device cpu $several -o 'cpu.several.<MAP>.exr'
+ok run bisque-bake --device cpu $small -o cpu.small.exr --json
+json '.chunk_loads > 15'
 
 # ---- CUDA ----
 
@@ -62,6 +66,9 @@ if [ -s "$ptx" ]; then
     json '.device == "Fake GPU 0 (CUDA), exact" and .kernel_calls > 0'
     holds "nothing is said of first rays alone: $(cat "$err")" [ ! -s "$err" ]
     same cpu.usual.normal.exr x.exr
+    ok cuda --device cuda $small -o x.exr --json
+    json '.device == "Fake GPU 0 (CUDA), exact"'
+    same cpu.small.exr x.exr
     rm x.exr
 
     # The scan passes through a small device in groups of chunks.
@@ -120,6 +127,9 @@ if has_opencl; then
     run bisque-bake --device opencl:0 $several -o 'x.<MAP>.exr' --gpu-memory 12M --json
     json '(.device | endswith(", exact")) and .kernel_calls > 0'
     made x several
+    ok run bisque-bake --device opencl:0 $small -o x.exr
+    same cpu.small.exr x.exr
+    rm x.exr
     opencl --device auto $usual -o 'x.<MAP>.exr' --gpu-memory 12M --json
     json '(.device | startswith("cpu,") | not) and .kernel_calls > 0'
     made x usual
