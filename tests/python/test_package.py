@@ -253,7 +253,7 @@ def test_a_library_that_does_not_end_is_stopped(scan):
     "os.write(2, b'numpy._core._exceptions._ArrayMemoryError: 8 PiB\\n'); os._exit(1)", 71)])
 def test_a_library_without_memory_is_told(end, status, tmp_path, monkeypatch):
     """As where the system kills the library's process."""
-    (tmp_path / "sitecustomize.py").write_text(f"import os, sys\nif 'bisque.uv' in sys.orig_argv:\n    {end}\n")
+    (tmp_path / "sitecustomize.py").write_text(f"import os, sys\nif 'bisque_unwrap' in sys.orig_argv:\n    {end}\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with pytest.raises(bisque.Error) as caught:
         bisque.unwrap(sphere(2, False), size=64)

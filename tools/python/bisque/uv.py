@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-import bisque_start
+from bisque_unwrap import LIBRARIES
 
 from . import programs
 from .core import Error, Job, Progress, bake, quiet
@@ -35,55 +35,20 @@ SMALL_TEXELS, WANTED_TEXELS, MOST_SMALL = 16, 24, 0.03
 MOST_RUNS = 3
 #: Strips around charts: their width in texels, and how many times farther than the triangle reaches they go at most.
 STRIP_TEXELS, MOST_BEYOND = 1.5, 16
-
-
-# ---- the libraries, in a process of their own that can be stopped ----
-
-def _uvunwrap(vertices: np.ndarray, faces: np.ndarray, size: int, padding: int) -> np.ndarray:
-    import uvunwrap
-
-    mesh = uvunwrap.Mesh(vertices.astype(np.float32), faces.astype(np.uint32))
-    atlas = uvunwrap.generate([mesh], page_size=size, padding=padding)
-    return np.asarray(atlas.meshes[0].corner_uvs, np.float32).reshape(-1, 3, 2)
-
-
-def _xatlas(vertices: np.ndarray, faces: np.ndarray, size: int, padding: int) -> np.ndarray:
-    import xatlas
-
-    atlas = xatlas.Atlas()
-    atlas.add_mesh(vertices.astype(np.float32), faces.astype(np.uint32))
-    charts, pack = xatlas.ChartOptions(), xatlas.PackOptions()
-    pack.resolution, pack.padding = size, padding
-    # It rotates charts by mirroring them. Charts lie in gaps of others, so none could be turned back later.
-    charts.fix_winding, pack.rotate_charts = True, False
-    atlas.generate(chart_options=charts, pack_options=pack)
-    _, indices, uvs = atlas[0]
-    # They fill a rectangle; in a square of maps, that must not stretch them.
-    uvs = uvs * np.array([atlas.width, atlas.height]) / max(atlas.width, atlas.height)
-    return uvs[indices].astype(np.float32)
-
-
-LIBRARIES = {"uvunwrap": _uvunwrap, "xatlas": _xatlas}
 #: The library that is taken if none is named: uvunwrap, but for Pythons that it is not made for.
 USUAL = next((name for name in LIBRARIES if importlib.util.find_spec(name)), "uvunwrap")
 
 
-def _main() -> None:
-    bisque_start.die_with_parent()
-    source, target, library, size, padding = sys.argv[1:]
-    with np.load(source) as data:
-        uvs = LIBRARIES[library](data["vertices"], data["faces"], int(size), int(padding))
-    np.save(target, uvs)
-
-
 def _run(mesh: Mesh, library: str, size: int, padding: int, seconds: float) -> np.ndarray:
+    """Returns the texture coordinates (faces, 3, 2) that a library makes in a process of its own. Raises
+    UnwrapError."""
     other = "xatlas" if library == "uvunwrap" else "uvunwrap"
     with Job() as job:
         source, target = Path(job.temporary("mesh.npz")), Path(job.temporary("uvs.npy"))
         # Around its centre, so that 32-bit coordinates keep the detail.
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
         np.savez(source, vertices=mesh.vertices - (low + high) / 2, faces=mesh.faces)
-        command = [sys.executable, "-m", "bisque.uv", str(source), str(target), library, str(size),
+        command = [sys.executable, "-m", "bisque_unwrap", str(source), str(target), library, str(size),
                    str(padding)]
         try:
             done = subprocess.run(command, capture_output=True, text=True, errors="replace",
@@ -283,7 +248,3 @@ def unwrap(low: Any, *, size: int = 2048, padding: int = 4, library: str = USUAL
         raise UnwrapError(f"{library} made charts that overlap in {report['overlapping_samples']} "
                           f"samples, or lie outside of the square: {ADVICE.format(other=other)}")
     return result
-
-
-if __name__ == "__main__":
-    _main()
