@@ -188,8 +188,8 @@ TEST(test_errors)
         obj_expect_text_error(cases[i].text, cases[i].message);
     static const char zero[] = "v 0 0 0\ng a\0b\nv 1 2 3\n";
     obj_expect_error(zero, sizeof zero - 1, "bad.obj:2: not a text file (zero byte)");
-    static const char png[] = "\x89PNG\r\n\x1a\n\0\0\0\rIHDR";
-    obj_expect_error(png, sizeof png - 1, "bad.obj:3: not a text file (zero byte)");
+    static const char binary[] = "\x89ABC\r\n\x1a\n\0\0\0\rIHDR";
+    obj_expect_error(binary, sizeof binary - 1, "bad.obj:3: not a text file (zero byte)");
     static const char utf16[] = "v\0 \0\x31\0";
     obj_expect_error(utf16, sizeof utf16 - 1, "bad.obj:1: not a text file (zero byte)");
 }
@@ -202,7 +202,10 @@ TEST(test_other_kinds_of_files_are_named)
         const char *message;
     } cases[] = {
         {"\x1f\x8b\x08\0", 4, "bad.obj: byte 4: truncated: the packed data end too early"},
-        {"PK\x03\x04\x14\0", 6, "bad.obj: cannot read a ZIP archive: unpack it first"},
+        {"PK\x03\x04\x14\0", 6,
+         "bad.obj: cannot read a ZIP archive: unpack it first; of 3MF or USDZ, export the mesh as "
+         "OBJ"},
+        {"LASF\1\2", 6, "bad.obj: cannot read a point cloud: make a mesh of it"},
         {"\xff\xfe\0\0v\0\0\0", 8,
          "bad.obj: cannot read text in UTF-16 or UTF-32: save it as UTF-8"},
         {"\0\0\xfe\xff", 4, "bad.obj: cannot read text in UTF-32: save it as UTF-8"},
