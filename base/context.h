@@ -294,18 +294,6 @@ uint64_t bsq_memory_high(const struct bsq_ctx *ctx);
 /** Returns the bytes of the budget that are not reserved now. */
 uint64_t bsq_memory_left(const struct bsq_ctx *ctx);
 
-/** Returns what is left of the budget, divided by `divisor`, for a purpose that can do with more or
- * less memory, and notes it under `name`, a string literal. */
-uint64_t bsq_memory_share(struct bsq_ctx *ctx, const char *name, uint64_t divisor);
-
-/** Notes a share that was computed in another way. */
-void bsq_note_share(struct bsq_ctx *ctx, const char *name, uint64_t bytes);
-
-/** Calls `fn` with `arg` for each name that was noted before this call, in the order of their first
- * calls, with the largest share that it got. */
-void bsq_memory_shares(struct bsq_ctx *ctx, void (*fn)(void *arg, const char *name, uint64_t bytes),
-                       void *arg);
-
 /** Alignment in bytes of all memory from bsq_alloc(), bsq_calloc() and bsq_grow(). */
 #define BSQ_ALIGNMENT 64
 

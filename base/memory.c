@@ -11,7 +11,6 @@
  * the last small page of the payload, so resident memory stays within what is counted. Growing
  * moves pages instead of copying them. The budget counts the payload. */
 #include <errno.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
@@ -92,60 +91,6 @@ uint64_t bsq_memory_used(const struct bsq_ctx *ctx)
 uint64_t bsq_memory_high(const struct bsq_ctx *ctx)
 {
     return atomic_load(&ctx->memory_high);
-}
-
-/* ---- shares ---- */
-
-/* Names come from the code, so their number does not depend on the job. */
-enum { MOST_SHARES = 64 };
-
-struct shares {
-    struct share {
-        const char *name;
-        uint64_t bytes;
-    } list[MOST_SHARES];
-    unsigned count;
-};
-
-static void free_shares(struct bsq_ctx *ctx, void *shares)
-{
-    (void)ctx;
-    free(shares);
-}
-
-void bsq_note_share(struct bsq_ctx *ctx, const char *name, uint64_t bytes)
-{
-    pthread_mutex_lock(&ctx->members_lock);
-    struct shares *shares = bsq_member_of(ctx, BSQ_SHARES, sizeof *shares, free_shares);
-    unsigned i = 0;
-    while (shares && i < shares->count && strcmp(shares->list[i].name, name) != 0)
-        i++;
-    if (shares && i < MOST_SHARES) {
-        struct share *share = &shares->list[i];
-        share->name = name;
-        share->bytes = bytes > share->bytes ? bytes : share->bytes;
-        shares->count += i == shares->count;
-    }
-    pthread_mutex_unlock(&ctx->members_lock);
-}
-
-uint64_t bsq_memory_share(struct bsq_ctx *ctx, const char *name, uint64_t divisor)
-{
-    const uint64_t bytes = bsq_memory_left(ctx) / divisor;
-    bsq_note_share(ctx, name, bytes);
-    return bytes;
-}
-
-void bsq_memory_shares(struct bsq_ctx *ctx, void (*fn)(void *arg, const char *name, uint64_t bytes),
-                       void *arg)
-{
-    struct shares shares = {.count = 0}; /* a copy: `fn` may note others */
-    pthread_mutex_lock(&ctx->members_lock);
-    if (ctx->members[BSQ_SHARES].object)
-        shares = *(const struct shares *)ctx->members[BSQ_SHARES].object;
-    pthread_mutex_unlock(&ctx->members_lock);
-    for (unsigned i = 0; i < shares.count; i++)
-        fn(arg, shares.list[i].name, shares.list[i].bytes);
 }
 
 /* ---- blocks ---- */

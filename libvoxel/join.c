@@ -331,8 +331,7 @@ static int join_allocate(struct joining *j)
     BSQ_PASS(BSQ_ALLOC(j->ctx, "chunks", things + 1, &j->ones));
     memset(j->ones, 0xff, (things + 1) * sizeof *j->ones);
     const uint64_t usual = UINT64_C(2) * bsq_threads(j->ctx),
-                   fits = bsq_memory_share(j->ctx, "chunks", 2) /
-                          (j->load_bytes + j->encoded_bytes + 1);
+                   fits = bsq_memory_left(j->ctx) / 2 / (j->load_bytes + j->encoded_bytes + 1);
     j->slot_count = fits < 1 ? 1 : fits < usual ? fits : usual;
     BSQ_PASS(BSQ_CALLOC(j->ctx, "chunks", j->slot_count, &j->slots));
     for (struct join_slot *s = j->slots; s < j->slots + j->slot_count; s++) {

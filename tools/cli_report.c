@@ -141,30 +141,16 @@ static uint64_t bytes_by_calls(void)
     return bytes;
 }
 
-static void add_share(void *json, const char *name, uint64_t bytes)
-{
-    cli_json_set(json, name, json_integer((json_int_t)bytes));
-}
-
-/* Returns an object with the memory that was set aside for each purpose. */
-static json_t *shares_json(const struct cli *cli)
-{
-    json_t *shares = json_object();
-    bsq_memory_shares(cli->ctx, add_share, &shares);
-    return shares;
-}
-
 static json_t *cost_json(const struct cli *cli)
 {
     struct rusage usage = {0};
     getrusage(RUSAGE_SELF, &usage);
     return json_pack(
-        "{s:i, s:I, s:I, s:o, s:I, s:I, s:f, s:f, s:f}", "threads", (int)bsq_threads(cli->ctx),
+        "{s:i, s:I, s:I, s:I, s:I, s:f, s:f, s:f}", "threads", (int)bsq_threads(cli->ctx),
         "memory_budget_bytes", (json_int_t)bsq_memory_limit(cli->ctx), "memory_high_bytes",
-        (json_int_t)bsq_memory_high(cli->ctx), "memory_shares_bytes", shares_json(cli),
-        "max_rss_bytes", (json_int_t)max_rss_bytes(), "bytes_read", (json_int_t)bytes_by_calls(),
-        "seconds", cli_seconds(&cli->started), "seconds_user", seconds_of(usage.ru_utime),
-        "seconds_system", seconds_of(usage.ru_stime));
+        (json_int_t)bsq_memory_high(cli->ctx), "max_rss_bytes", (json_int_t)max_rss_bytes(),
+        "bytes_read", (json_int_t)bytes_by_calls(), "seconds", cli_seconds(&cli->started),
+        "seconds_user", seconds_of(usage.ru_utime), "seconds_system", seconds_of(usage.ru_stime));
 }
 
 /* Returns an array of the files that the job has read, by other programs too, and of those that

@@ -23,7 +23,7 @@ static int program_rows_run(const struct fmt_rows_input *input, struct bsq_file 
                             char program[PATH_MAX])
 {
     struct bsq_ctx *ctx = input->ctx;
-    const uint64_t bytes = bsq_memory_share(ctx, "decoding a texture", 2) / input->sharers;
+    const uint64_t bytes = bsq_memory_left(ctx) / 2 / input->sharers;
     const struct fmt_converter how = {.program = input->program,
                                       .purpose = "textures of this format",
                                       .library = input->plugin[0] ? "OpenImageIO" : "libtiff",

@@ -113,7 +113,7 @@ void bake_exact_chunks_in(const struct bake_exact *exact, const float low[3], co
 static uint64_t cache_bytes(const struct bake_exact *exact)
 {
     const uint64_t least = UINT64_C(12) << 20, most = UINT64_C(64) << 20;
-    const uint64_t bytes = bsq_memory_share(exact->ctx, "textures", 4);
+    const uint64_t bytes = bsq_memory_left(exact->ctx) / 4;
     return bytes < least ? least : bytes > most ? most : bytes;
 }
 

@@ -367,7 +367,7 @@ static int allocate_groups(struct bake_exact_look *look)
 {
     const struct bake_exact *exact = look->exact;
     struct bsq_ctx *ctx = exact->ctx;
-    const uint64_t share = bsq_memory_share(ctx, "chunks for secondary rays", 3);
+    const uint64_t share = bsq_memory_left(ctx) / 3;
     const uint32_t triangles = exact_most_triangles(exact);
     uint64_t all = 0;
     for (uint32_t c = 0; c < exact->chunk_count; c++)

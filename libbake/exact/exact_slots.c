@@ -66,7 +66,7 @@ static uint64_t ray_bytes(const struct bake_exact *exact)
 
 uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes)
 {
-    const uint64_t left = bsq_memory_share(exact->ctx, "chunks and rays", 1);
+    const uint64_t left = bsq_memory_left(exact->ctx);
     const uint32_t threads = bsq_threads(exact->ctx);
     const uint64_t fixed = slots_count(exact, exact_wave_slots(exact), threads, left / 4).bytes +
                            bake_exact_buckets_scratch_bytes(exact) +

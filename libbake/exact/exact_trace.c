@@ -413,7 +413,7 @@ void bake_exact_sweep_free(struct bake_exact_sweep *sweep)
 static int allocate_chunks(const struct wave *wave)
 {
     struct bake_exact_sweep *memory = wave->memory;
-    const uint64_t share = bsq_memory_share(wave->exact->ctx, "chunks of a wave", 2);
+    const uint64_t share = bsq_memory_left(wave->exact->ctx) / 2;
     const uint32_t slots = exact_wave_slots(wave->exact), places = wave->exact->places;
     return bake_exact_slots_create(wave->exact, on_device(wave) && places < slots ? places : slots,
                                    share, &memory->slots);

@@ -343,8 +343,7 @@ int bake_filter(struct bsq_ctx *ctx, const struct bake_filter *filter)
                         .channels = filter->image->channels,
                         .radius = (float)(filter->texel * RADIUS),
                         .depth = (float)(filter->texel * DEPTH)};
-    const uint64_t most =
-        bsq_memory_share(ctx, "texels to filter", 2) / (sizeof(struct point) + sizeof(void *));
+    const uint64_t most = bsq_memory_left(ctx) / 2 / (sizeof(struct point) + sizeof(void *));
     int status = 0;
     if (!(filter->texel > 0))
         return 0;

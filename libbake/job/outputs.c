@@ -157,7 +157,7 @@ int bake_open_outputs(struct bake_job *job)
  * So the picture, unlike the maps, can depend on a small budget. */
 static uint32_t preview_texture_side(const struct bake_job *job)
 {
-    const uint64_t share = bsq_memory_share(job->ctx, "textures of the preview", 8);
+    const uint64_t share = bsq_memory_left(job->ctx) / 8;
     return bake_thumbnail_side(PREVIEW_TEXTURE, share / job->udim.count);
 }
 

@@ -383,7 +383,7 @@ static int maps_write_band(struct bake_map_files *files, uint32_t first_row, uin
  * blocks of the writers. */
 static uint32_t choose_band_rows(const struct bake_map_files *files, const struct bake_image *image)
 {
-    uint64_t bytes = bsq_memory_share(files->ctx, "rows that are encoded", 4);
+    uint64_t bytes = bsq_memory_left(files->ctx) / 4;
     uint64_t row_bytes = bake_dilation_row_bytes(image);
     for (uint32_t i = 0; i < files->count; ++i)
         row_bytes += maps_row_samples(files, i) * sizeof(float);

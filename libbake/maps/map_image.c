@@ -109,7 +109,7 @@ int bake_image_bands(struct bsq_ctx *ctx, struct bake_image *image, uint32_t ban
                      bake_band_fn *fn, void *arg)
 {
     const uint64_t row_bytes = image->width * image->texel_bytes;
-    const uint64_t most = bsq_memory_share(ctx, "rows of a map", 4) / row_bytes;
+    const uint64_t most = bsq_memory_left(ctx) / 4 / row_bytes;
     const uint32_t step = most < 1 ? 1 : most < band_rows ? (uint32_t)most : band_rows;
     const float *texels;
     float *buffer = NULL;

@@ -17,7 +17,7 @@ uint32_t bake_patch_side(struct bsq_ctx *ctx, uint32_t width, uint32_t height, u
                          uint32_t maps)
 {
     uint64_t threads = bsq_threads(ctx);
-    uint64_t share = bsq_memory_share(ctx, "patches that are traced", 8) / threads;
+    uint64_t share = bsq_memory_left(ctx) / 8 / threads;
     uint64_t texels = (uint64_t)width * height;
     uint32_t side = LARGEST_PATCH;
     while (side > USUAL_PATCH && texels / side / side < PATCHES_A_THREAD * threads)

@@ -127,8 +127,7 @@ enum { LARGEST_SIDE = 1024 };
 int bake_page_begin_picture(struct bsq_ctx *ctx, uint32_t width, uint32_t height,
                             struct bake_page_picture *out)
 {
-    const uint32_t side =
-        bake_thumbnail_side(LARGEST_SIDE, bsq_memory_share(ctx, "pictures of a page", 16));
+    const uint32_t side = bake_thumbnail_side(LARGEST_SIDE, bsq_memory_left(ctx) / 16);
     for (int k = 0; k < 3; k++) {
         out->low[k] = INFINITY;
         out->high[k] = -INFINITY;

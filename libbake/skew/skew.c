@@ -28,7 +28,7 @@ int bake_skew_open(struct bsq_ctx *ctx, const char *path, const uint32_t *tiles,
                    struct fmt_textures **out)
 {
     struct fmt_texture_source *sources;
-    uint64_t cache = bsq_memory_share(ctx, "skew map", 16);
+    uint64_t cache = bsq_memory_left(ctx) / 16;
     *out = NULL;
     BSQ_PASS(BSQ_CALLOC(ctx, "skew map", count, &sources));
     cache = cache < LEAST_CACHE ? LEAST_CACHE : cache > MOST_CACHE ? MOST_CACHE : cache;

@@ -278,7 +278,7 @@ static int create_states(struct bake_look *look, uint64_t most)
     states->lengths = bk_state_lengths(&look->params);
     const uint64_t bytes =
         states->words * sizeof *states->hidden + states->lengths * sizeof *states->distances;
-    const uint64_t share = bsq_memory_share(ctx, "secondary rays", 8);
+    const uint64_t share = bsq_memory_left(ctx) / 8;
     const uint64_t fitting = bytes == 0 || most < share / bytes ? most : share / bytes;
     states->capacity = fitting < 1 ? 1 : fitting;
     BSQ_PASS(

@@ -170,7 +170,7 @@ static uint64_t scan_capacity(const struct bake_scan *scan, uint64_t more_bytes)
         return bake_exact_capacity(scan->exact, more_bytes);
     const uint64_t channels = BK_TRANSFER_VALUES * bk_transfers(scan->params.maps) * sizeof(float);
     const uint64_t ray = sizeof(struct bake_ray) + sizeof(struct bake_hit) + channels + more_bytes;
-    const uint64_t most = bsq_memory_share(scan->ctx, "rays of a batch", 8) / ray;
+    const uint64_t most = bsq_memory_left(scan->ctx) / 8 / ray;
     return most < MAX_GRID_RAYS ? most : MAX_GRID_RAYS;
 }
 

@@ -79,7 +79,7 @@ static void chunks_divide_memory(struct batches *b)
 {
     const struct sort_limits *limits = b->scan->limits;
     const uint64_t carry = FMT_TRIS_CHUNK_TRIANGLES, all = vox_batch_capacity_of_all(b->partition);
-    uint64_t left = bsq_memory_share(b->ctx, "batches of chunks", 1);
+    uint64_t left = bsq_memory_left(b->ctx);
     left = left > limits->reserve_bytes ? left - limits->reserve_bytes : 0;
     b->slot_count = chunks_count_slots(b, left);
     uint64_t others = b->slot_count * vox_chunk_builder_bytes(b->scan->attributes) +

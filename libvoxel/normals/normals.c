@@ -146,7 +146,7 @@ done:
 /* Makes the buckets: their number depends on the scan only. */
 static int normals_make_buckets(struct normals_run *run, const char *beside)
 {
-    const uint64_t pages = bsq_memory_share(run->ctx, "normals", 4);
+    const uint64_t pages = bsq_memory_left(run->ctx) / 4;
     uint64_t vertices = 0;
     for (uint64_t i = 0; i < run->chunk_count; i++) {
         const struct fmt_tris_chunk_info *info = &run->infos[i];

@@ -251,8 +251,7 @@ static int visit_emit(void *arg, void *slot, uint64_t sequence)
 int vox_normals_visit_chunks(struct normals_run *run)
 {
     struct ring_slot *slots = NULL, counted = {0};
-    const uint64_t bytes = slot_lay_out(run, NULL, &counted),
-                   left = bsq_memory_share(run->ctx, "chunks for normals", 2),
+    const uint64_t bytes = slot_lay_out(run, NULL, &counted), left = bsq_memory_left(run->ctx) / 2,
                    usual = (uint64_t)SLOTS_A_THREAD * bsq_threads(run->ctx);
     const uint64_t fits = left / bytes < usual ? left / bytes : usual;
     const uint64_t count = fits > run->chunk_count ? run->chunk_count : fits > 0 ? fits : 1;

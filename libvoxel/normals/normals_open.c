@@ -227,7 +227,7 @@ static int make_worker(struct normals_run *run, uint32_t most, struct open_worke
 int vox_normals_join_corners(struct normals_run *run)
 {
     const unsigned threads = bsq_threads(run->ctx);
-    const uint64_t share = bsq_memory_share(run->ctx, "borders of chunks", 2) / threads;
+    const uint64_t share = bsq_memory_left(run->ctx) / 2 / threads;
     struct open_worker *workers = NULL;
     struct open_worker one = {.most = LEAST_POSITIONS};
     uint64_t most = share / worker_lay_out(NULL, &one) * LEAST_POSITIONS;

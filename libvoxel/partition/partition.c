@@ -153,8 +153,6 @@ static int partition_divide_memory(struct reading *r, uint64_t *pages)
     const uint64_t keep = batches > table ? batches : table;
     *pages = left > keep + limits->page_memory ? left - keep : limits->page_memory;
     *pages = *pages < limits->max_page_memory ? *pages : limits->max_page_memory;
-    bsq_note_share(scan->ctx, "buckets", *pages);
-    bsq_note_share(scan->ctx, "buckets of vertices", table);
     return 0;
 }
 

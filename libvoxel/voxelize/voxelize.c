@@ -85,10 +85,6 @@ static int voxelize_divide_memory(const struct vox_run *run, struct vox_shares *
     available -= run->workers * shares->accumulator_bytes;
     /* The other half is for results that grow while they are held, and for the writer. */
     shares->result_bytes = available / 2;
-    bsq_note_share(run->ctx, "textures", shares->texture_bytes);
-    bsq_note_share(run->ctx, "chunks", shares->cache_slots * slot);
-    bsq_note_share(run->ctx, "sums of voxels", run->workers * shares->accumulator_bytes);
-    bsq_note_share(run->ctx, "results", shares->result_bytes);
     return 0;
 }
 
@@ -179,8 +175,7 @@ static int voxelize_find_boxes(struct vox_run *run)
         run->bounds[i] =
             vox_transform_box(&run->transform, infos[i].bounds_min, infos[i].bounds_max);
     return vox_chunk_boxes_create(run->ctx, run->file, &run->transform, run->bounds,
-                                  bsq_memory_share(run->ctx, "boxes of chunks", 16), &run->boxes,
-                                  &run->box_count);
+                                  bsq_memory_left(run->ctx) / 16, &run->boxes, &run->box_count);
 }
 
 /* Replaces the file by a temporary one with other normals. */

@@ -36,7 +36,7 @@ static void choose_areas(struct bake_gpu *gpu, uint64_t whole, uint64_t least)
 {
     uint64_t space = gpu->memory_bytes;
     if (gpu->shares_memory) {
-        uint64_t share = bsq_memory_share(gpu->ctx, "chunks on the device", 3);
+        uint64_t share = bsq_memory_left(gpu->ctx) / 3;
         share = share > least ? share : least;
         space = share < space ? share : space;
     }
@@ -70,8 +70,7 @@ int bake_gpu_make_wave(struct bake_gpu *gpu, uint64_t least, char *why)
 {
     struct bake_failure failure = BAKE_NO_FAILURE;
     if (gpu->shares_memory) {
-        const uint64_t share = bsq_memory_share(gpu->ctx, "chunks on the device", 8),
-                       most = share > least ? share : least;
+        const uint64_t share = bsq_memory_left(gpu->ctx) / 8, most = share > least ? share : least;
         gpu->wave_bytes = most < gpu->wave_bytes ? most : gpu->wave_bytes;
         const int status = bake_gpu_reserve(gpu, "chunks on the device", gpu->wave_bytes);
         if (status < 0) {

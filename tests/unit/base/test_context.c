@@ -400,49 +400,6 @@ TEST(test_shares_of_progress_add_up)
     bsq_ctx_destroy(ctx);
 }
 
-/* ---- shares of the budget ---- */
-
-static void join_share(void *arg, const char *name, uint64_t bytes)
-{
-    char *text = arg;
-    snprintf(text + strlen(text), 64, "%s %llu;", name, (unsigned long long)bytes);
-}
-
-TEST(test_shares_are_noted_with_their_largest_size)
-{
-    const struct bsq_ctx_options options = {.memory_bytes = 1 << 20};
-    struct bsq_ctx *ctx;
-    char text[256] = "";
-    void *block;
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    assert_int_equal(bsq_memory_share(ctx, "rows", 4), 1 << 18);
-    bsq_note_share(ctx, "chunks", 77);
-    assert_int_equal(bsq_alloc(ctx, "test", 1 << 18, 1, &block), 0);
-    assert_in_range(bsq_memory_share(ctx, "rows", 4), 1, (1 << 18) - (1 << 16));
-    bsq_memory_shares(ctx, join_share, text);
-    assert_string_equal(text, "rows 262144;chunks 77;");
-    bsq_free(ctx, block);
-    bsq_ctx_destroy(ctx);
-}
-
-static void note_another(void *arg, const char *name, uint64_t bytes)
-{
-    (void)name;
-    bsq_note_share(arg, bytes == 1 ? "second" : "third", bytes + 1);
-}
-
-TEST(test_shares_may_be_noted_while_they_are_listed)
-{
-    struct bsq_ctx *ctx;
-    char text[256] = "";
-    assert_int_equal(bsq_ctx_create(NULL, &ctx), 0);
-    bsq_note_share(ctx, "first", 1);
-    bsq_memory_shares(ctx, note_another, ctx);
-    bsq_memory_shares(ctx, join_share, text);
-    assert_string_equal(text, "first 1;second 2;");
-    bsq_ctx_destroy(ctx);
-}
-
 /* ---- octahedral normals ---- */
 
 static double angle_degrees(struct bsq_vec3 a, struct bsq_vec3 b)
