@@ -22,19 +22,25 @@ struct ordered {
     uint32_t material, triangle;
 };
 
+/* A corner of the vertex in work. */
+struct facing {
+    double normal[3]; /* of its triangle, of length 1 */
+    double angle;     /* in radians */
+};
+
 struct writing {
     struct bsq_ctx *ctx;
     const struct fmt_low_mesh *mesh;
     const struct fmt_tris_header *header;
     double least_cosine;
-    double (*faces)[3];         /* unit normals */
-    double *angles;             /* of corners, in radians */
+    struct facing *around;
     uint32_t *starts, *corners; /* of each vertex: its corners are corners[starts[v]...] */
     struct shaded *shaded;      /* by vertices */
     uint32_t *shaded_of;        /* of corners */
     struct ordered *order;      /* triangles by their materials */
     uint32_t *shaded_number;    /* in the last primitive of a GLB file that has it */
     uint32_t shaded_count;
+    uint64_t shaded_capacity;
     struct bsq_output *output;
     FILE *file; /* buffers what goes to the output */
     char *buffer;
@@ -70,15 +76,19 @@ static double angle_at(const struct fmt_low_mesh *mesh, uint32_t corner)
     return atan2(sqrt(bsq_dotd(normal, normal)), bsq_dotd(a, b));
 }
 
-static void face_normals(struct writing *w)
+/* Sets what is around a vertex. */
+static void look_around(struct writing *w, uint32_t vertex)
 {
-    for (uint32_t t = 0; t < w->mesh->triangle_count; t++) {
-        const uint32_t *v = w->mesh->triangles[t];
+    const uint32_t begin = w->starts[vertex];
+    for (uint32_t i = begin; i < w->starts[vertex + 1]; i++) {
+        const uint32_t *v = w->mesh->triangles[w->corners[i] / 3];
+        struct facing *facing = &w->around[i - begin];
         double a[3], b[3];
         edge_of(w->mesh, v[0], v[1], a);
         edge_of(w->mesh, v[0], v[2], b);
-        bsq_crossd(a, b, w->faces[t]);
-        make_unit(w->faces[t]);
+        bsq_crossd(a, b, facing->normal);
+        make_unit(facing->normal);
+        facing->angle = angle_at(w->mesh, w->corners[i]);
     }
 }
 
@@ -96,18 +106,18 @@ static void list_vertex_corners(struct writing *w)
     w->starts[mesh->vertex_count] = 3 * mesh->triangle_count;
 }
 
-/* Sets the normal of a corner of a vertex. Returns whether all its corners have the same one,
- * because all are within the angle that is smooth. */
-static bool corner_normal(const struct writing *w, uint32_t vertex, uint32_t corner, float out[3])
+/* Sets the normal of a vertex at one of `count` corners around it. Returns whether all of these
+ * have the same one, because all are within the angle that is smooth. */
+static bool corner_normal(const struct writing *w, uint32_t count, uint32_t corner, float out[3])
 {
-    const double *face = w->faces[corner / 3];
+    const double *face = w->around[corner].normal;
     double sum[3] = {0, 0, 0};
-    for (uint32_t i = w->starts[vertex]; i < w->starts[vertex + 1]; i++) {
-        const double *other = w->faces[w->corners[i] / 3];
+    for (uint32_t i = 0; i < count; i++) {
+        const double *other = w->around[i].normal;
         if (bsq_dotd(face, other) < w->least_cosine && other != face)
             continue;
         for (int k = 0; k < 3; k++)
-            sum[k] += w->angles[w->corners[i]] * other[k];
+            sum[k] += w->around[i].angle * other[k];
     }
     const double square = bsq_dotd(sum, sum);
     make_unit(sum);
@@ -115,6 +125,21 @@ static bool corner_normal(const struct writing *w, uint32_t vertex, uint32_t cor
     for (int k = 0; k < 3; k++)
         out[k] = (float)(square > 1e-12 ? sum[k] : face[k]);
     return w->least_cosine <= -1 && square > 1e-12;
+}
+
+/* Makes space for `more` vertices with normals. */
+static int reserve_shaded(struct writing *w, uint32_t more)
+{
+    struct shaded *wider;
+    if (w->shaded_count + (uint64_t)more <= w->shaded_capacity)
+        return 0;
+    const uint64_t capacity = w->shaded_capacity + w->shaded_capacity / 4 + more;
+    BSQ_PASS(BSQ_ALLOC(w->ctx, "writing a mesh", capacity, &wider));
+    memcpy(wider, w->shaded, w->shaded_count * sizeof *wider);
+    bsq_free(w->ctx, w->shaded);
+    w->shaded = wider;
+    w->shaded_capacity = capacity;
+    return 0;
 }
 
 /* Normals of equal sums have equal numbers. */
@@ -126,10 +151,10 @@ static bool is_same_normal(const float a[3], const float b[3])
 static int shade(struct writing *w)
 {
     uint64_t looked = 0; /* at corners, since the last look at an interruption */
-    for (uint32_t c = 0; c < 3 * w->mesh->triangle_count; c++)
-        w->angles[c] = angle_at(w->mesh, c);
     for (uint32_t v = 0; v < w->mesh->vertex_count; v++) {
         const uint32_t first = w->shaded_count, begin = w->starts[v], end = w->starts[v + 1];
+        BSQ_PASS(reserve_shaded(w, end - begin));
+        look_around(w, v);
         for (uint32_t i = begin; i < end; i++) {
             struct shaded *entry = &w->shaded[w->shaded_count];
             uint32_t same = first;
@@ -138,7 +163,7 @@ static int shade(struct writing *w)
             if (i > begin && w->shaded[first].common)
                 memcpy(entry, &w->shaded[first], sizeof *entry);
             else
-                entry->common = corner_normal(w, v, w->corners[i], entry->normal);
+                entry->common = corner_normal(w, end - begin, i - begin, entry->normal);
             while (same < w->shaded_count && !is_same_normal(w->shaded[same].normal, entry->normal))
                 same++;
             w->shaded_of[w->corners[i]] = same;
@@ -348,6 +373,7 @@ int fmt_low_mesh_write(struct bsq_ctx *ctx, const char *path, const struct fmt_l
 {
     static const char what[] = "writing a mesh";
     const uint64_t corners = 3 * (uint64_t)mesh->triangle_count;
+    uint32_t most = 0; /* corners of a vertex */
     struct writing w = {.ctx = ctx,
                         .mesh = mesh,
                         .header = header,
@@ -356,26 +382,27 @@ int fmt_low_mesh_write(struct bsq_ctx *ctx, const char *path, const struct fmt_l
                             hard_angle < 180 ? cos(hard_angle * 3.14159265358979323846 / 180) : -2};
     int status = 0;
     BSQ_TRY(bsq_output_open(ctx, path, &w.output));
-    BSQ_TRY(BSQ_ALLOC(ctx, what, mesh->triangle_count, &w.faces));
     BSQ_TRY(BSQ_CALLOC(ctx, what, (uint64_t)mesh->vertex_count + 1, &w.starts));
     BSQ_TRY(BSQ_ALLOC(ctx, what, corners, &w.corners));
-    BSQ_TRY(BSQ_ALLOC(ctx, what, corners, &w.angles));
-    BSQ_TRY(BSQ_ALLOC(ctx, what, corners, &w.shaded));
     BSQ_TRY(BSQ_ALLOC(ctx, what, corners, &w.shaded_of));
     BSQ_TRY(BSQ_ALLOC(ctx, what, mesh->triangle_count, &w.order));
     for (uint32_t t = 0; t < mesh->triangle_count; t++)
         w.order[t] = (struct ordered){mesh->materials ? mesh->materials[t] : 0, t};
     if (mesh->materials)
         bsq_sort(w.order, mesh->triangle_count, sizeof *w.order, compare_ordered);
-    face_normals(&w);
     list_vertex_corners(&w);
+    for (uint32_t v = 0; v < mesh->vertex_count; v++)
+        most = w.starts[v + 1] - w.starts[v] > most ? w.starts[v + 1] - w.starts[v] : most;
+    w.shaded_capacity = (uint64_t)mesh->vertex_count + most;
+    BSQ_TRY(BSQ_ALLOC(ctx, what, most, &w.around));
+    BSQ_TRY(BSQ_ALLOC(ctx, what, w.shaded_capacity, &w.shaded));
     BSQ_TRY(shade(&w));
     if (strcasecmp(ending_of(path), ".glb") == 0)
         BSQ_TRY(write_glb(&w, path));
     else
         BSQ_TRY(write_file(&w, strcasecmp(ending_of(path), ".ply") == 0 ? write_ply : write_obj));
 done:
-    BSQ_FREE(ctx, w.order, w.buffer, w.shaded_of, w.shaded, w.angles, w.corners, w.starts, w.faces);
+    BSQ_FREE(ctx, w.order, w.buffer, w.shaded_of, w.shaded, w.around, w.corners, w.starts);
     if (status < 0)
         bsq_output_discard(w.output);
     else
