@@ -2,7 +2,10 @@
  *
  * A scan may be larger than the device. So its chunks pass through areas in groups: one area is
  * filled while rays from viewpoints meet what is in the other. The states of rays stay with the
- * host between groups. First rays have an area of their own, for the chunks of a wave. */
+ * host between groups. First rays have an area of their own, for the chunks of a wave.
+ *
+ * All launches of a kernel have the same size, and work items without a ray end at once: PoCL 3.1
+ * aborts if queues run a kernel in different sizes at the same time (its dlhandle cache). */
 #include <stdio.h>
 #include <string.h>
 
@@ -169,7 +172,7 @@ static struct bake_failure trace_viewpoints(struct bake_gpu *gpu, struct bake_st
 {
     const struct bake_driver *driver = gpu->driver;
     struct bake_launch launch = {
-        .kernel = BAKE_MEET, .width = bk_ray_count(params), .height = count};
+        .kernel = BAKE_MEET, .width = bk_ray_count(params), .height = bake_gpu_viewpoints(params)};
     for (launch.side = 1; launch.side < launch.width && launch.side < 32;)
         launch.side *= 2;
     BAKE_LAUNCH_ADD(&launch, gpu->areas[area]);
@@ -216,8 +219,10 @@ static struct bake_failure trace_first_rays(struct bake_gpu *gpu, struct bake_st
     const struct bake_driver *driver = gpu->driver;
     const uint32_t count = rays->bundles * BAKE_RAY_BUNDLE, place = (uint32_t)(at / BSQ_ALIGNMENT);
     const uint64_t bytes = count * sizeof(bk_first_hit);
-    struct bake_launch launch = {
-        .kernel = BAKE_FIRST, .width = 32, .height = (count + 31) / 32, .side = 32};
+    struct bake_launch launch = {.kernel = BAKE_FIRST,
+                                 .width = 32,
+                                 .height = BAKE_FIRST_BUNDLES * BAKE_RAY_BUNDLE / 32,
+                                 .side = 32};
     BAKE_TRY_CALL(bake_gpu_take_stream(gpu, stream));
     bk_first_ray *out = (bk_first_ray *)(void *)(stream->host[0] + bytes);
     for (uint32_t b = 0; b < rays->bundles; b++)
