@@ -421,10 +421,11 @@ def on_fake_cuda(runner, job, base, rng):
     environment = {"LD_LIBRARY_PATH": os.path.join(TESTS, "fake")}
     if not has_device(job.trial):
         return False
-    code, _ = job.run(runner, environment=environment, device="cuda")
+    small = ["--memory", "%dM" % rng.choice([20, 24, 32, 50, 100])] if rng.random() < 0.5 else []
+    code, _ = job.run(runner, small, environment=environment, device="cuda")
     if code == NO_DEVICE and base.code != code:
         return False
-    expect_same(code, job.files(runner), base)
+    expect_same(code, job.files(runner), base, [NO_MEMORY] if small else [], ["look.png"] if small else [])
 
 
 def on_opencl(runner, job, base, rng):
