@@ -201,6 +201,31 @@ def test_saved_png_files_are_those_of_a_bake(scan, low, tmp_path):
         baked.save(tmp_path / "y_<MAP>.exr")
 
 
+def test_a_scene_of_trimesh_is_its_meshes(plain, tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    scene = trimesh.Scene(trimesh.Trimesh(POINTS, FACES, process=False))
+    assert chunks(scene, tmp_path) == plain
+    mesh = trimesh.Trimesh(POINTS, FACES, process=False, face_colors=np.full((len(FACES), 4), 90, np.uint8))
+    with pytest.warns(UserWarning, match="colours of faces are not read"):
+        bisque.sort(mesh, tmp_path / "a.tris")
+
+
+@pytest.mark.parametrize("name, call", [
+    ("maps: names", lambda scan, low: bisque.bake(scan, low, 7)),
+    ("maps: names", lambda scan, low: bisque.bake(scan, low, ["normal", 7])),
+    ("size: texels, or", lambda scan, low: bisque.bake(scan, low, size=(16, 16, 16))),
+    ("samples: a whole number", lambda scan, low: bisque.bake(scan, low, samples="x")),
+    ("ao_spread: a number", lambda scan, low: bisque.bake(scan, low, ao_spread="x")),
+    ("size: 'x'", lambda scan, low: bisque.unwrap(low, size="x")),
+    ("size: 'x'", lambda scan, low: bisque.check_uvs(low, "x")),
+    ("hard_angle: a number", lambda scan, low: bisque.asset(scan, "a.glb", hard_angle="2")),
+    ("scale: a number", lambda scan, low: bisque.asset(scan, "a.glb", scale="2")),
+    ("unwrap_seconds: a number", lambda scan, low: bisque.asset(scan, "a.glb", unwrap_seconds=None))])
+def test_options_of_other_types_are_refused_by_name(name, call, scan, low):
+    with pytest.raises(ValueError, match=name):
+        call(scan, low)
+
+
 def test_a_trimesh_brings_its_texture(scan, low, tmp_path):
     trimesh = pytest.importorskip("trimesh")
     from PIL import Image

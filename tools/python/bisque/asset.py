@@ -21,7 +21,7 @@ import numpy as np
 
 from . import core, glb, materials, museum, place, programs, repair, seen, usdz, uv
 from .core import Error
-from .mesh import Mesh, as_mesh, is_path, parse_texels, read_mesh
+from .mesh import Mesh, as_mesh, check_real, is_path, parse_texels, read_mesh
 from .steps import FAILED_IO, Folder, Steps, sha256
 
 #: Triangles, texels and maps of each level; rays of a texel for ambient occlusion, of which
@@ -400,8 +400,7 @@ def _check_options(output: Path, preset: str, samples: int, surface: str, librar
     if output.suffix.lower() == usdz.SUFFIX:
         usdz.require()
     core.check_number("samples", samples, 1, 2 ** 16)
-    if not 0 <= seconds <= 1e9:  # also NaN
-        raise ValueError(f"unwrap_seconds: a number from 0 to 1e+09 is needed, not {seconds:g}")
+    check_real("unwrap_seconds", seconds, 0, 1e9)
     return PRESETS[preset]["levels"]
 
 

@@ -18,8 +18,8 @@ import numpy as np
 
 from .images import srgb, write_png
 from .lib._core import ffi, lib
-from .mesh import (Error, Mesh, as_mesh, check_number, check_triangles, is_path, parse_amount, parse_bytes,
-                   parse_texels, read_mesh)
+from .mesh import (Error, Mesh, as_mesh, check_number, check_real, check_triangles, is_path, parse_amount,
+                   parse_bytes, parse_texels, read_mesh)
 
 #: Gets (stage, done, total, unit); total is 0 if it is unknown. An exception ends the job.
 Progress = Callable[[str, int, int, str], Any]
@@ -248,8 +248,11 @@ def _source(job: Job, scan: Any) -> Any:
     mesh = as_mesh(scan)
     colors = mesh.colors
     normals = mesh.normals if mesh.normal_faces is None or mesh.normal_faces is mesh.faces else None
-    if mesh.texture is None and (getattr(getattr(scan, "visual", None), "kind", None) == "texture" or len(
-            getattr(scan, "textures", ()))):
+    kind = getattr(getattr(scan, "visual", None), "kind", None)
+    if kind == "face":
+        job.warnings.append("mesh in memory: colours of faces are not read: write it to a file, such as "
+                            "mesh.export('scan.ply'), and give its path")
+    if mesh.texture is None and (kind == "texture" or len(getattr(scan, "textures", ()))):
         job.warnings.append("mesh in memory: its material and texture are not read: write it to a file, "
                             "such as mesh.export('scan.obj'), and give its path")
     wide = mesh.vertices.dtype != np.float32
@@ -547,9 +550,12 @@ def _set_options(job: Job, options: Any, values: dict) -> None:
         row = rows.get(name) or rows.get(name + "_path")
         if row is None or row.kind == lib.BSQ_OPTION_LIST:
             raise TypeError(f"bake() has no option {name!r}")
-        if row.kind in (lib.BSQ_OPTION_COUNT, lib.BSQ_OPTION_CHOICE) and not isinstance(value, str):
+        is_word = isinstance(value, str) and bool(row.words)
+        if row.kind in (lib.BSQ_OPTION_COUNT, lib.BSQ_OPTION_CHOICE) and not is_word:
             value = check_number(name, value, 0, 2 ** 32 - 1)
-        if isinstance(value, str) and row.words and row.kind in types:
+        if row.kind == lib.BSQ_OPTION_NUMBER and not is_word:
+            check_real(name, value, -np.inf, np.inf)
+        if is_word and row.kind in types:
             word = lib.bsq_option_word(row.words, value.encode())
             if word < 0:
                 raise ValueError(f"{name}: {value!r} is none of: {_text(row.words)}")
@@ -575,8 +581,12 @@ def own_names(maps: str | Sequence[str]) -> list[str]:
     """Returns maps, also "normal, color", by their own names, as "color" for "basecolor". "opacity" stays: it is a
     channel of scans."""
     others = {_text(lib.bake_map_alias(i)): name for name, i in map_names().items() if name != "mask"}
-    words = map(str.strip, maps.split(",")) if isinstance(maps, str) else maps
-    return [others.get(name) or name for name in words if name]
+    words = maps.split(",") if isinstance(maps, str) else maps
+    try:
+        words = [word.strip() for word in words]
+    except (TypeError, AttributeError):
+        raise ValueError(f"maps: names are needed, not {maps!r}") from None
+    return [others.get(word) or word for word in words if word]
 
 
 def check_maps(maps: Sequence[str]) -> None:
@@ -659,6 +669,8 @@ def bake(high: Any, low: Any, maps: Sequence[str] = (), *, size: int | str | tup
             o.more_scan_paths, o.more_scan_count = job.strings(paths[1:]), len(paths) - 1
             o.mesh_path = job.string(_low_path(job, low))
             sides = size if isinstance(size, (tuple, list)) else (size, size)
+            if len(sides) != 2:
+                raise ValueError(f"size: texels, or (width, height), are needed, not {size!r}")
             o.width, o.height = map(parse_texels, sides)
             o.rows_only = output is None and not format
             o.output_path = job.string(output or os.path.join(

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import contextlib
+import numbers
 import operator
 import os
 import re
@@ -59,6 +60,12 @@ def check_number(name: str, value: Any, least: int, most: int) -> int:
     if not least <= number <= most:
         raise ValueError(f"{name}: a number from {least} to {most} is needed, not {number}")
     return number
+
+
+def check_real(name: str, value: Any, least: float, most: float) -> None:
+    """Refuses what is no number within limits, by ValueError, which names it."""
+    if not isinstance(value, numbers.Real) or not least <= value <= most:  # also NaN
+        raise ValueError(f"{name}: a number from {least:g} to {most:g} is needed, not {value!r}")
 
 
 def check_triangles(value: Any, least: int) -> int | str:
@@ -244,18 +251,20 @@ def _from_trimesh(thing: Any) -> Mesh:
 
 
 def as_mesh(thing: Any) -> Mesh:
-    """Takes a Mesh, a tuple (vertices, faces[, uvs]), a trimesh or an Open3D mesh, or the path of an
+    """Takes a Mesh, a tuple (vertices, faces[, uvs]), a trimesh, a scene of these, or an Open3D mesh, or the path of an
     OBJ file or a PLY file of bisque-simplify. Arrays are copied only where checked() changes them.
     Raises TypeError, ValueError or Error."""
     if is_path(thing):
         return read_mesh(os.fsdecode(thing))
+    if hasattr(thing, "geometry") and hasattr(thing, "to_mesh"):  # a trimesh.Scene, as of a GLB file
+        thing = thing.to_mesh()
     if isinstance(thing, Mesh):
         mesh = thing
     elif isinstance(thing, (tuple, list)) and len(thing) in (2, 3) and not is_path(thing[0]):
         mesh = Mesh(*thing)
     elif hasattr(thing, "vertices") and hasattr(thing, "faces"):  # trimesh has triangles, too
         mesh = _from_trimesh(thing)
-    elif hasattr(thing, "triangles") or hasattr(thing, "triangle"):
+    elif hasattr(thing, "triangle") or (hasattr(thing, "triangles") and hasattr(thing, "vertices")):
         mesh = _from_open3d(thing)
     else:
         raise TypeError(f"no mesh, and no path of one: {type(thing).__name__}")

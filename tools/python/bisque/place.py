@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .glb import Glb, write_glb
-from .mesh import Mesh, parse_amount
+from .mesh import Mesh, check_real, parse_amount
 
 UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254}
 _H = 0.5 ** 0.5
@@ -28,8 +28,8 @@ def check_options(up: Any, units: Any, scale: Any) -> None:
     for name, value, words in (("up", up, UP), ("units", units, UNITS)):
         if value is not None and value not in words:
             raise ValueError(f"{name}: {value!r} is none of {', '.join(words)}")
-    if scale is not None and not 1e-12 <= scale <= 1e12:
-        raise ValueError(f"scale: a factor from 1e-12 to 1e12 is needed, not {scale:g}")
+    if scale is not None:
+        check_real("scale", scale, 1e-12, 1e12)
 
 
 def unit_of(units: str | None, scale: float | None) -> float:

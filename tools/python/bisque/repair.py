@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from . import core
-from .mesh import Error, Mesh, check_number, check_triangles, parse_amount
+from .mesh import Error, Mesh, check_number, check_real, check_triangles, parse_amount
 from .place import parse_length
 
 #: Points of the mesh at which rays test the scan; those of each piece, and of all, that test where outside is.
@@ -44,8 +44,7 @@ def check_options(triangles: Any, error: Any, unit: float, *, min_component: Any
         triangles = check_triangles(triangles, 4)
     if winding not in ("auto", "keep"):
         raise ValueError(f"winding: {winding!r} is none of auto, keep")
-    if not 0 <= hard_angle <= 180:  # also NaN
-        raise ValueError(f"hard_angle: a number from 0 to 180 is needed, not {hard_angle:g}")
+    check_real("hard_angle", hard_angle, 0, 180)
     least = {"min_component": parse_amount("min_component", str(min_component).removesuffix("%") + "%")[0],
              "min_triangles": check_number("min_triangles", min_triangles, 0, 2 ** 32 - 1)}
     error = parse_length("error", error, unit)

@@ -24,7 +24,7 @@ from .asset import PUBLISHED, check_library, lost_of, older_files, publish, sort
 from .core import Error
 from .cut import Tile, add_skirt, divide, read_level
 from .glb import Glb, Writer, write_plain
-from .mesh import Mesh, check_triangles, parse_amount, parse_texels
+from .mesh import Mesh, check_real, check_triangles, parse_amount, parse_texels
 from .place import check_options, place_glb, unit_of
 from .steps import WEIGHTS, Folder, Steps
 from .tileset import check_place, make_page, tileset
@@ -316,8 +316,7 @@ def tiles(scan: Any, output: str | os.PathLike, *, tile_triangles: int = 10_000,
     check_options(up, units, scale)
     packing = {"images": images, "geometry": geometry}
     glb.check_options(**packing)
-    if not 0 <= unwrap_seconds <= 1e9:
-        raise ValueError(f"unwrap_seconds: a number from 0 to 1e+09 is needed, not {unwrap_seconds:g}")
+    check_real("unwrap_seconds", unwrap_seconds, 0, 1e9)
     maps = list(dict.fromkeys(core.own_names(maps)))
     if not set(maps) <= {"normal", "color"} or not maps:
         raise ValueError(f"maps: tiles have normal and color, not {','.join(maps)}")

@@ -14,7 +14,7 @@ from bisque_unwrap import LIBRARIES
 
 from . import programs
 from .core import Error, Job, Progress, bake, quiet
-from .mesh import Mesh, as_mesh
+from .mesh import Mesh, as_mesh, parse_texels
 from .repair import connected, edge_pairs, face_normals, seams
 
 
@@ -108,11 +108,11 @@ def _percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
     return float(values[order][np.searchsorted(sums, share * sums[-1]).clip(0, len(values) - 1)])
 
 
-def check_uvs(low: Any, size: int = 1024, **job: Any) -> dict:
+def check_uvs(low: Any, size: int | str = 1024, **job: Any) -> dict:
     """Measures texture coordinates with the raster that bakes use: overlapping samples, triangles
     that are flipped or without area, the used share of the texels, the 95th percentile of stretch
     by area, the number of charts, of those with under 16 texels, and the texels of the smallest one."""
-    mesh = as_mesh(low)
+    mesh, size = as_mesh(low), parse_texels(size)
     if mesh.uvs is None:
         raise ValueError("the mesh has no texture coordinates: unwrap() makes them")
     uvs = mesh.corner_uvs()
@@ -212,7 +212,7 @@ def extend_charts(mesh: Mesh, size: int) -> Mesh:
                 *add(mesh.normals, mesh.normal_faces), report=mesh.report)
 
 
-def unwrap(low: Any, *, size: int = 2048, padding: int = 4, library: str = USUAL,
+def unwrap(low: Any, *, size: int | str = 2048, padding: int = 4, library: str = USUAL,
            seconds: float = 120, memory: Any = None, threads: int = 0,
            progress: Progress | None = None) -> Mesh:
     """Gives a mesh texture coordinates in one square, with `padding` texels around each chart in maps
@@ -222,7 +222,7 @@ def unwrap(low: Any, *, size: int = 2048, padding: int = 4, library: str = USUAL
     UnwrapError, with advice, if the
     library takes longer than `seconds`, fails, or lays charts over each other. Texels are as dense
     everywhere: neither library takes weights of faces."""
-    mesh = as_mesh(low)
+    mesh, size = as_mesh(low), parse_texels(size)
     if library not in LIBRARIES:
         raise ValueError(f"library: {library!r} is none of {', '.join(LIBRARIES)}")
     corners = seams(mesh)
