@@ -45,7 +45,8 @@ static bool bake_args_take(const char **text, char character)
 static bool take_side(const char **text, uint32_t *out)
 {
     const bool good = take_number(text, BAKE_MAX_SIDE, out);
-    const uint64_t texels = bake_args_take(text, 'k') ? UINT64_C(1024) * *out : *out;
+    const bool thousands = bake_args_take(text, 'k') || bake_args_take(text, 'K');
+    const uint64_t texels = thousands ? UINT64_C(1024) * *out : *out;
     *out = (uint32_t)texels;
     return good && texels <= BAKE_MAX_SIDE;
 }

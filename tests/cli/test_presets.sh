@@ -114,9 +114,9 @@ ok $bake scan.nvdb '<MAP>.obj' --preset unreal -o maps/ --maps mask --json
 json '.tiles[0].maps.mask == "maps/T__MAP__mask.png"'
 ok run bisque-bake --list tiles low.obj --size 4k --json
 json '.tiles[0].width == 4096'
-ok run bisque-bake --list tiles low.obj --size 1kx512 --json
+ok run bisque-bake --list tiles low.obj --size 1Kx512 --json
 json '.tiles[0].width == 1024 and .tiles[0].height == 512'
-for size in 1025k k 4K 4kk 99999999999k; do
+for size in 1025k k 4kK 4kk 99999999999k; do
     run bisque-bake scan.nvdb low.obj -o x.exr --size $size
     code 64
 done

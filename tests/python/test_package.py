@@ -374,6 +374,8 @@ def test_asset_names_the_option_that_is_meant():
                                f"the nearest is {meant}\n")
     assert "see bisque-asset --help" in asset("a.obj", "--nonsense", code=64).stderr
     assert "4096 or 4k" in asset("none.obj", "-o", "a.glb", "--size", "4q", code=64).stderr
+    assert "none.obj" in asset("none.obj", "-o", "a.glb", "--size", "4K", code=66).stderr
+    assert "the nearest is 'normal'" in asset("none.obj", "-o", "a.glb", "--maps", "normals", code=64).stderr
 
 
 def test_asset_ends_when_told_and_shows_json(tmp_path):

@@ -296,7 +296,9 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
     paths = [] if core._is_memory(scan) else core._paths(scan)
     low = os.fsdecode(low) if is_path(low) else low
     given = [*paths, *([low] if is_path(low) else []), *([os.fsdecode(texture)] if texture else [])]
-    maps = list(dict.fromkeys(name.removeprefix("transfer:") for name in core.own_names(maps or ())))
+    names = core.own_names(maps or ())
+    core.check_maps(names)
+    maps = list(dict.fromkeys(name.removeprefix("transfer:") for name in names))
     _check_inputs(output, made, Path(keep) if keep else made, given)
     if len(chosen) > 1:
         museum.check(output, made, bool(units or scale or not place.name_of(paths)))
