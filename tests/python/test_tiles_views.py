@@ -145,32 +145,32 @@ def shade(tile, which, weights):
     return color, normal / np.linalg.norm(normal, axis=1)[:, None]
 
 
-def errors_in_views(scan, meshes, views):
-    """Returns the mean angle of normals and the mean difference of colours, in 8-bit steps, from those of the scan."""
-    angles, colors = [], []
+def errors_in_views(scan, sets, views):
+    """Returns for each set of meshes the mean angle of normals and the mean difference of colours, in 8-bit steps, from
+    those of the scan."""
     normals = np.zeros_like(scan.vertices)
     p = scan.triangles
     for k in range(3):
         np.add.at(normals, scan.faces[:, k], np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]))
     paint = np.asarray(scan.visual.vertex_colors)[:, :3].astype(float)
-    counts = np.cumsum([0] + [len(mesh["all"]) for mesh in meshes])
-    corners = np.concatenate([mesh["p"][mesh["all"]] for mesh in meshes])
+    found = [([], []) for _ in sets]
     for number in range(views):
         view = View(scan, number)
         theirs, w, far = view.look(scan.triangles)
-        ours, weights, near = view.look(corners)
-        both = np.flatnonzero((theirs >= 0) & (ours >= 0) & (np.abs(far - near) < 0.01 * scan.scale))
-        faces, w = scan.faces[theirs[both]], w[both]
-        wanted = (normals[faces] * w[:, :, None]).sum(axis=1)
-        wanted /= np.linalg.norm(wanted, axis=1)[:, None]
-        color = (paint[faces] * w[:, :, None]).sum(axis=1)
-        owner = np.searchsorted(counts, ours[both], side="right") - 1
-        for i in np.unique(owner):
-            mine = owner == i
-            shown, normal = shade(meshes[i], ours[both][mine] - counts[i], weights[both][mine])
-            colors.append(np.abs(shown - color[mine]).mean(axis=1))
-            angles.append(np.degrees(np.arccos((normal * wanted[mine]).sum(axis=1).clip(-1, 1))))
-    return np.concatenate(angles).mean(), np.concatenate(colors).mean()
+        for meshes, (angles, colors) in zip(sets, found):
+            ours, weights, near = view.look(np.concatenate([mesh["p"][mesh["all"]] for mesh in meshes]))
+            both = np.flatnonzero((theirs >= 0) & (ours >= 0) & (np.abs(far - near) < 0.01 * scan.scale))
+            faces, at = scan.faces[theirs[both]], w[both][:, :, None]
+            wanted, color = (normals[faces] * at).sum(axis=1), (paint[faces] * at).sum(axis=1)
+            wanted /= np.linalg.norm(wanted, axis=1)[:, None]
+            counts = np.cumsum([0] + [len(mesh["all"]) for mesh in meshes])
+            owner = np.searchsorted(counts, ours[both], side="right") - 1
+            for i in np.unique(owner):
+                mine = owner == i
+                shown, normal = shade(meshes[i], ours[both][mine] - counts[i], weights[both][mine])
+                colors.append(np.abs(shown - color[mine]).mean(axis=1))
+                angles.append(np.degrees(np.arccos((normal * wanted[mine]).sum(axis=1).clip(-1, 1))))
+    return [[np.concatenate(kind).mean() for kind in kinds] for kinds in found]
 
 
 def test_leaves_look_as_a_single_asset(made):
@@ -183,8 +183,7 @@ def test_leaves_look_as_a_single_asset(made):
                  surface="exact", hard_angle=180)
     one = read_tile(folder, {"file": "one.glb", "triangles": count})
     one["p"] = one["p"] + one["head"]["nodes"][0]["translation"]
-    views = VIEWS if LONG else 3
-    leaves, single = errors_in_views(scan, [tiles[name] for name in names], views), errors_in_views(scan, [one], views)
+    leaves, single = errors_in_views(scan, ([tiles[name] for name in names], [one]), VIEWS if LONG else 3)
     sizes = [sum((folder / "out" / f"{name}.glb").stat().st_size for name in names),
              (folder / "one.glb").stat().st_size]
     print(f"leaves: {leaves[0]:.2f} degrees, {leaves[1]:.2f} of 255, {sizes[0]} bytes; one asset: {single[0]:.2f}, "
