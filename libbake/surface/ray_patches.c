@@ -320,8 +320,8 @@ static int look_beside(struct tracing *tracing, const struct bake_surface_rays *
 }
 
 /* Traces the rays from all hits. */
-static int look_around(struct tracing *tracing, const struct bake_surface_rays *rays,
-                       uint64_t progress)
+static int patches_look_around(struct tracing *tracing, const struct bake_surface_rays *rays,
+                               uint64_t progress)
 {
     const uint64_t first = tracing->waiting * tracing->seat_rays;
     const struct bake_look_hits hits = {.rays = rays->batch.rays,
@@ -570,7 +570,7 @@ static int run_batch(struct tracing *tracing)
     if (tracing->patches->seen)
         BSQ_PASS(bake_seen_mark_hits(surface, tracing->patches->seen, &rays.batch));
     if (tracing->look && rays.batch.count > 0)
-        BSQ_PASS(look_around(tracing, &rays, texels - first_texels));
+        BSQ_PASS(patches_look_around(tracing, &rays, texels - first_texels));
     if (tracing->next_hits)
         BSQ_PASS(look_beside(tracing, &rays));
     return bsq_parallel_for(tracing->ctx, tracing->taken - tracing->waiting, resolve_patch,
