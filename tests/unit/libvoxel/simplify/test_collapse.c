@@ -55,8 +55,9 @@ static void with_spike(double x, double y, float *p)
 static void collapse(struct vox_mesh *mesh, bool thin, uint32_t target)
 {
     vox_mesh_set_quadrics(mesh);
-    assert_int_equal(
-        thin ? vox_thin(ctx, target, mesh) : vox_collapse(ctx, target, NULL, NULL, mesh, &removed), 0);
+    assert_int_equal(thin ? vox_thin(ctx, target, mesh)
+                          : vox_collapse(ctx, target, NULL, NULL, mesh, &removed),
+                     0);
 }
 
 static void cluster(struct vox_mesh *mesh, double share)
