@@ -120,25 +120,37 @@ int vox_boxes_begin(struct vox_measuring *m, struct vox_measured_box *list, uint
     return 0;
 }
 
-int vox_boxes_end(struct vox_measuring *m)
+int vox_boxes_add_mesh(struct vox_measuring *m)
 {
-    for (uint32_t t = 0; t < m->mesh->triangle_count && m->boxes.count > 0; t++) {
+    uint32_t *near = NULL, count = 0;
+    int status = 0;
+    BSQ_TRY(BSQ_ALLOC(m->ctx, "boxes", m->boxes.count, &near));
+    for (uint32_t i = 0; i < m->boxes.count; i++)
+        if (touches(&m->boxes, i, m->near_low, m->near_high))
+            near[count++] = i;
+    for (uint32_t t = 0; t < m->mesh->triangle_count && count > 0; t++) {
         const float *corners[3];
         float low[3], high[3];
         if (t % 4096 == 0)
-            BSQ_PASS(bsq_check(m->ctx));
+            BSQ_TRY(bsq_check(m->ctx));
         vox_closest_corners(&m->tree, t, corners);
         bound_corners(corners, low, high);
-        for (uint32_t i = 0; i < m->boxes.count; i++) {
-            double *most = &m->boxes.from_mesh[i].bound.high;
-            if (m->bounds[t] > *most && touches(&m->boxes, i, low, high))
+        for (uint32_t i = 0; i < count; i++) {
+            double *most = &m->boxes.from_mesh[near[i]].bound.high;
+            if (m->bounds[t] > *most && touches(&m->boxes, near[i], low, high))
                 *most = m->bounds[t];
         }
     }
+done:
+    bsq_free(m->ctx, near);
+    return status;
+}
+
+void vox_boxes_end(const struct vox_measuring *m)
+{
     for (uint32_t i = 0; i < m->boxes.count; i++) {
         const struct vox_box_sums *there = &m->boxes.from_scan[i], *back = &m->boxes.from_mesh[i];
         vox_summarize(m, &there->sums, &there->bound, &m->boxes.list[i].from_scan);
         vox_summarize(m, &back->sums, &back->bound, &m->boxes.list[i].from_mesh);
     }
-    return 0;
 }

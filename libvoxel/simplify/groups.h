@@ -46,4 +46,31 @@ int vox_level_read(const struct vox_level *level, uint64_t index, struct vox_mes
 /* Makes one welded mesh, without quadrics. The caller frees it. Errors: as of reading a part. */
 int vox_level_join(const struct vox_level *level, struct vox_mesh *mesh);
 
+/* ---- regions.c: dividing space ---- */
+
+/* A box: its low sides belong to it, its high ones to others. */
+struct vox_region {
+    float low[3], high[3];
+    uint64_t triangles; /* of the parts whose middles are in it */
+};
+
+/* Divides space by planes until regions have about `limit` triangles, or one part. share_below: of
+ * the triangles, those below a plane. The caller frees *regions, also after failure. Errors:
+ * BSQ_ENOMEM. */
+int vox_divide_level(const struct vox_level *level, uint64_t limit, double share_below,
+                     struct vox_region **regions, uint64_t *count);
+
+static inline float vox_part_middle(const struct vox_part *part, int axis)
+{
+    return 0.5F * (part->low[axis] + part->high[axis]);
+}
+
+static inline bool vox_region_has(const struct vox_region *region, const float position[3])
+{
+    bool in = true;
+    for (int k = 0; k < 3; k++)
+        in = in && position[k] >= region->low[k] && position[k] < region->high[k];
+    return in;
+}
+
 #endif

@@ -19,6 +19,7 @@ enum {
     FINE_SHARE = 64,       /* triangles below this share of the mesh's own need no inner points */
     POINTS_SHARE = 8,      /* others have one in each of these shares, */
     POINTS_MAX = 1 << 16,
+    NEAR_REACHES = 16, /* how far triangles of other regions matter */
     VERTEX_BYTES =
         28, /* of a chunk's vertices, beside the chunk; and of its triangles, in a tree */
     TRIANGLE_BYTES = 40
@@ -281,13 +282,20 @@ static int measure_chunk(void *arg, void *slot_, uint64_t sequence, unsigned wor
     struct fmt_tris_chunk chunk;
     void *scratch = NULL;
     int status = 0;
+    const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(m->file)[sequence];
     (void)worker;
+    if (!vox_has_chunk(m, sequence) &&
+        vox_box_square(info->bounds_min, info->bounds_max, m->near_low, m->near_high) > 0)
+        return 0;
     BSQ_TRY(vox_load_chunk(m, sequence, &scratch, &chunk));
     const uint32_t count = chunk.vertex_count;
+    BSQ_TRY(BSQ_ALLOC(m->ctx, "numbers of blocks", count, &of.blocks));
+    vox_cover_add(&m->cover, &chunk, of.blocks);
+    if (!vox_has_chunk(m, sequence))
+        goto done;
     BSQ_TRY(BSQ_ALLOC(m->ctx, "distances", count, &of.squares));
     BSQ_TRY(BSQ_CALLOC(m->ctx, "areas", count, &of.weights));
     BSQ_TRY(BSQ_ALLOC(m->ctx, "closest triangles", count, &of.closest));
-    BSQ_TRY(BSQ_ALLOC(m->ctx, "numbers of blocks", count, &of.blocks));
     BSQ_TRY(vox_boxes_touched(m, sequence, &slot->boxes, &slot->box_count));
     BSQ_TRY(measure_vertices(m, &chunk, &of, &slot->bound));
     BSQ_TRY(measure_triangles(m, &chunk, &of, slot));
@@ -298,7 +306,6 @@ static int measure_chunk(void *arg, void *slot_, uint64_t sequence, unsigned wor
         vox_boxes_add_point(m, (const double[3]){(double)p[0], (double)p[1], (double)p[2]},
                             of.squares[v], of.weights[v], slot->boxes, slot->box_count);
     }
-    vox_cover_add(&m->cover, &chunk, of.blocks);
 done:
     BSQ_FREE(m->ctx, of.blocks, of.closest, of.weights, of.squares, scratch);
     return status;
@@ -313,7 +320,8 @@ static int add_chunk(void *arg, void *slot_, uint64_t sequence)
     vox_boxes_add(m, slot->boxes, slot->box_count);
     bsq_free(m->ctx, slot->boxes);
     slot->boxes = NULL;
-    bsq_progress_add(m->ctx, fmt_tris_chunks(m->file)[sequence].triangle_count);
+    if (vox_has_chunk(m, sequence))
+        bsq_progress_add(m->ctx, fmt_tris_chunks(m->file)[sequence].triangle_count);
     return 0;
 }
 
@@ -321,10 +329,12 @@ static int measure_scan(struct vox_measuring *m)
 {
     const uint64_t chunks = fmt_tris_get_header(m->file)->chunk_count;
     struct measure_slot *slots = NULL;
+    uint64_t own = 0;
     unsigned slot_count = 0;
     int status = 0;
-    for (uint64_t i = 0; i < chunks; i += GUESS_CHUNKS + chunks / GUESS_CHUNKS_MAX)
-        BSQ_TRY(guess_chunk(m, i));
+    for (uint64_t i = 0; i < chunks; i++)
+        if (vox_has_chunk(m, i) && own++ % (GUESS_CHUNKS + chunks / GUESS_CHUNKS_MAX) == 0)
+            BSQ_TRY(guess_chunk(m, i));
     m->cover = (struct vox_cover){.tree = &m->tree,
                                   .height = fmin(cover_factor * m->guess, cover_most * m->reach) +
                                             m->scan.slack,
@@ -341,8 +351,7 @@ static int measure_scan(struct vox_measuring *m)
                                           .slots = slots,
                                           .slot_size = sizeof *slots,
                                           .slot_count = slot_count};
-    bsq_progress_begin(m->ctx, "measuring", "triangles",
-                       fmt_tris_get_header(m->file)->triangle_count);
+    bsq_progress_begin(m->ctx, "measuring", "triangles", m->region->triangles);
     status = bsq_pipeline_run(m->ctx, &pipeline);
     bsq_progress_end(m->ctx);
 done:
@@ -354,6 +363,15 @@ done:
 
 /* ---- both ways ---- */
 
+/* Returns the square root of a triangle's area, in the mean. */
+static double mean_reach(const struct vox_mesh *mesh)
+{
+    double area = 0;
+    for (uint32_t t = 0; t < mesh->triangle_count; t++)
+        area += vox_triangle_area((const float(*)[3])mesh->positions, mesh->triangles[t]);
+    return sqrt(area / mesh->triangle_count);
+}
+
 /* Sets sizes: of chunks in memory, how far the scan and the mesh reach, and how far coordinates are
  * rounded. No distance is larger than the last octaves of the histogram have. */
 static void measure_sizes(struct vox_measuring *m)
@@ -361,7 +379,7 @@ static void measure_sizes(struct vox_measuring *m)
     const struct fmt_tris_header *header = fmt_tris_get_header(m->file);
     const float(*positions)[3] = (const float(*)[3])m->mesh->positions;
     const struct fmt_tris_chunk_info *chunks = fmt_tris_chunks(m->file);
-    double area = 0, most = 0, square;
+    double most = 0, square;
     uint64_t bits;
     for (uint64_t i = 0; i < header->chunk_count; i++) {
         const uint64_t bytes = fmt_tris_load_size(m->file, i) +
@@ -369,8 +387,6 @@ static void measure_sizes(struct vox_measuring *m)
                                TRIANGLE_BYTES * ((uint64_t)chunks[i].triangle_count + 64);
         m->chunk_bytes = bytes > m->chunk_bytes ? bytes : m->chunk_bytes;
     }
-    for (uint32_t t = 0; t < m->mesh->triangle_count; t++)
-        area += vox_triangle_area(positions, m->mesh->triangles[t]);
     for (uint32_t v = 0; v < m->mesh->vertex_count; v++)
         for (int k = 0; k < 3; k++)
             most = fmax(most, fabs((double)positions[v][k]));
@@ -381,21 +397,152 @@ static void measure_sizes(struct vox_measuring *m)
                     fmax(fabs((double)header->bounds_min[k]), fabs((double)header->bounds_max[k])));
     }
     m->diagonal = sqrt(m->diagonal);
-    m->reach = sqrt(area / m->mesh->triangle_count);
+    m->reach = mean_reach(m->mesh);
+    m->area = m->reach * m->reach * m->mesh->triangle_count;
     m->scan.slack = m->low.slack = 0x1p-21 * most;
     square = 16 * most * most;
     memcpy(&bits, &square, sizeof bits);
     m->first_bin = (int64_t)(bits >> 48) - VOX_BINS;
 }
 
-int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_mesh *mesh,
-                struct vox_marks *marks, struct vox_measured_box *boxes, uint32_t box_count,
-                struct vox_distances *scan_to_mesh, struct vox_distances *mesh_to_scan)
+/* Measures the chunks of a region, and the triangles of the mesh that it has: owned, of each; NULL:
+ * all. */
+static int measure_region(struct vox_measuring *m, const bool *owned)
 {
-    struct vox_measuring m = {.ctx = ctx, .file = file, .mesh = mesh};
+    const struct vox_mesh *mesh = m->mesh;
     const uint32_t count = mesh->triangle_count;
     int status = 0;
+    BSQ_TRY(BSQ_ALLOC(m->ctx, "bounds", count, &m->bounds));
+    BSQ_TRY(vox_closest_build(m->ctx, (const float(*)[3])mesh->positions,
+                              (const uint32_t(*)[3])mesh->triangles, count, false, &m->tree));
+    BSQ_TRY(measure_scan(m));
+    for (uint32_t t = 0; t < count; t++)
+        m->bounds[t] = !owned || owned[t] ? vox_cover_bound(&m->cover, t) : 0;
+    if (m->marks)
+        m->scan = m->low = vox_limit_bound(m);
+    BSQ_TRY(vox_measure_samples(m));
+    BSQ_TRY(vox_resolve_bounds(m));
+    status = vox_boxes_add_mesh(m);
+done:
+    vox_cover_free(m->ctx, &m->cover);
+    vox_closest_free(m->ctx, &m->tree);
+    bsq_free(m->ctx, m->bounds);
+    m->bounds = NULL;
+    return status;
+}
+
+/* Sets the box of what is near a region: its chunks, and the mesh around them. */
+static void surround_region(struct vox_measuring *m)
+{
+    const struct fmt_tris_chunk_info *chunks = fmt_tris_chunks(m->file);
+    const float farther = (float)(NEAR_REACHES * m->reach);
+    for (int k = 0; k < 3; k++) {
+        m->near_low[k] = INFINITY;
+        m->near_high[k] = -INFINITY;
+    }
+    for (uint64_t i = 0; i < fmt_tris_get_header(m->file)->chunk_count; i++)
+        for (int k = 0; k < 3 && vox_has_chunk(m, i); k++) {
+            m->near_low[k] = fminf(m->near_low[k], chunks[i].bounds_min[k] - farther);
+            m->near_high[k] = fmaxf(m->near_high[k], chunks[i].bounds_max[k] + farther);
+        }
+}
+
+/* Returns whether a triangle belongs to the region: its middle is in it. *near: whether it matters
+ * there. */
+static bool is_owned(const struct vox_measuring *m, const uint32_t corners[3], bool *near)
+{
+    float low[3], high[3], middle[3];
+    for (int k = 0; k < 3; k++) {
+        const float a = m->mesh->positions[corners[0]][k], b = m->mesh->positions[corners[1]][k],
+                    c = m->mesh->positions[corners[2]][k];
+        low[k] = fminf(a, fminf(b, c));
+        high[k] = fmaxf(a, fmaxf(b, c));
+        middle[k] = (a + b + c) / 3;
+    }
+    const bool own = vox_region_has(m->region, middle);
+    *near = own || !(vox_box_square(low, high, m->near_low, m->near_high) > 0);
+    return own;
+}
+
+/* Measures a region with the triangles of the mesh near it. numbers: space, of all vertices. */
+static int measure_part(struct vox_measuring *m, uint32_t *numbers)
+{
+    const struct vox_mesh *whole = m->mesh;
+    struct vox_mesh part = {0};
+    bool *owned = NULL, near;
+    uint32_t count = 0;
+    int status = 0;
+    surround_region(m);
+    for (uint32_t t = 0; t < whole->triangle_count; t++) {
+        is_owned(m, whole->triangles[t], &near);
+        count += near;
+    }
+    if (count == 0)
+        return 0;
+    BSQ_TRY(BSQ_ALLOC(m->ctx, "a region", count, &owned));
+    BSQ_TRY(vox_mesh_allocate(m->ctx, 3 * count, count, false, false, &part));
+    part.vertex_count = part.triangle_count = 0;
+    memset(numbers, 0, whole->vertex_count * sizeof *numbers);
+    for (uint32_t t = 0; t < whole->triangle_count; t++) {
+        const uint32_t *corners = whole->triangles[t];
+        owned[part.triangle_count] = is_owned(m, corners, &near);
+        for (int k = 0; k < 3 && near; k++) {
+            uint32_t *number = &numbers[corners[k]];
+            if (*number == 0) {
+                memcpy(part.positions[part.vertex_count], whole->positions[corners[k]],
+                       sizeof *part.positions);
+                *number = ++part.vertex_count;
+            }
+            part.triangles[part.triangle_count][k] = *number - 1;
+        }
+        part.triangle_count += near;
+    }
+    m->mesh = &part;
+    m->reach = mean_reach(&part);
+    status = measure_region(m, owned);
+    m->mesh = whole;
+done:
+    bsq_free(m->ctx, owned);
+    vox_mesh_free(m->ctx, &part);
+    return status;
+}
+
+/* Measures region by region, as what is known of a mesh while it is measured takes much memory. */
+static int measure_parts(struct vox_measuring *m, uint32_t at_once)
+{
+    const struct vox_mesh *whole = m->mesh;
+    const double share = (double)at_once / whole->triangle_count;
+    struct vox_level level = {.ctx = m->ctx};
+    struct vox_region *regions = NULL;
+    uint32_t *numbers = NULL;
+    uint64_t count;
+    int status = 0;
+    BSQ_TRY(vox_reduce_chunks(m->ctx, m->file, UINT64_MAX, NULL, false, &level));
+    BSQ_TRY(vox_divide_level(&level, (uint64_t)(share * (double)level.triangles), 0.5, &regions,
+                             &count));
+    BSQ_TRY(BSQ_ALLOC(m->ctx, "a region", whole->vertex_count, &numbers));
+    for (uint64_t i = 0; i < count; i++) {
+        m->region = &regions[i];
+        BSQ_TRY(measure_part(m, numbers));
+    }
+done:
+    BSQ_FREE(m->ctx, numbers, regions);
+    vox_level_free(&level, NULL);
+    return status;
+}
+
+int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_mesh *mesh,
+                struct vox_marks *marks, struct vox_measured_box *boxes, uint32_t box_count,
+                uint32_t at_once, struct vox_distances *scan_to_mesh,
+                struct vox_distances *mesh_to_scan)
+{
+    const struct vox_region all = {{-INFINITY, -INFINITY, -INFINITY},
+                                   {INFINITY, INFINITY, INFINITY},
+                                   fmt_tris_get_header(file)->triangle_count};
+    struct vox_measuring m = {.ctx = ctx, .file = file, .mesh = mesh, .region = &all};
+    int status = 0;
     measure_sizes(&m);
+    surround_region(&m);
     if (marks) {
         m.limit = marks->limit;
         m.marks = marks->triangles;
@@ -403,22 +550,12 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
     BSQ_TRY(vox_boxes_begin(&m, boxes, box_count));
     BSQ_TRY(BSQ_CALLOC(ctx, "distances", 1, &m.from_scan));
     BSQ_TRY(BSQ_CALLOC(ctx, "distances", 1, &m.from_mesh));
-    BSQ_TRY(BSQ_ALLOC(ctx, "bounds", count, &m.bounds));
-    BSQ_TRY(vox_closest_build(ctx, (const float(*)[3])mesh->positions,
-                              (const uint32_t(*)[3])mesh->triangles, count, false, &m.tree));
-    BSQ_TRY(measure_scan(&m));
-    for (uint32_t t = 0; t < count; t++)
-        m.bounds[t] = vox_cover_bound(&m.cover, t);
-    if (marks)
-        m.scan = m.low = vox_limit_bound(&m);
-    BSQ_TRY(vox_measure_samples(&m));
-    BSQ_TRY(vox_resolve_bounds(&m));
+    BSQ_TRY(marks || mesh->triangle_count / 2 <= at_once ? measure_region(&m, NULL)
+                                                         : measure_parts(&m, at_once));
     vox_summarize(&m, m.from_scan, &m.scan, scan_to_mesh);
     vox_summarize(&m, m.from_mesh, &m.low, mesh_to_scan);
-    BSQ_TRY(vox_boxes_end(&m));
+    vox_boxes_end(&m);
 done:
-    vox_cover_free(ctx, &m.cover);
-    vox_closest_free(ctx, &m.tree);
-    BSQ_FREE(ctx, m.boxes.from_mesh, m.boxes.from_scan, m.bounds, m.from_mesh, m.from_scan);
+    BSQ_FREE(ctx, m.boxes.from_mesh, m.boxes.from_scan, m.from_mesh, m.from_scan);
     return status;
 }

@@ -7,7 +7,7 @@
 #include "formats/chunks/tris.h"
 #include "libvoxel/simplify/bound.h"
 #include "libvoxel/simplify/cover.h"
-#include "libvoxel/simplify/mesh.h"
+#include "libvoxel/simplify/groups.h"
 #include "libvoxel/voxel.h"
 
 /* Of the histogram: sixteen steps in each octave of squares of distances. Below the last octaves,
@@ -45,7 +45,10 @@ struct vox_boxes {
 struct vox_measuring {
     struct bsq_ctx *ctx;
     const struct fmt_tris_file *file;
-    const struct vox_mesh *mesh;
+    const struct vox_mesh *mesh; /* all of it, or what is near a region */
+    const struct vox_region *region;
+    float near_low[3], near_high[3]; /* around the chunks of the region, and farther */
+    double area;                     /* of the whole mesh */
     uint64_t chunk_bytes; /* most that a chunk takes in memory, with what is known of it */
     double diagonal;
     double limit;            /* of distances, if triangles are marked */
@@ -60,6 +63,16 @@ struct vox_measuring {
     struct vox_bound scan, low; /* of the scan's points, and the mesh's */
     struct vox_boxes boxes;
 };
+
+/* Returns whether the middle of a chunk is in the region. */
+static inline bool vox_has_chunk(const struct vox_measuring *m, uint64_t index)
+{
+    const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(m->file)[index];
+    float middle[3];
+    for (int k = 0; k < 3; k++)
+        middle[k] = 0.5F * (info->bounds_min[k] + info->bounds_max[k]);
+    return vox_region_has(m->region, middle);
+}
 
 /* Loads a chunk. The caller frees *scratch, on failure too. */
 int vox_load_chunk(const struct vox_measuring *m, uint64_t index, void **scratch,
@@ -123,9 +136,10 @@ int vox_boxes_add_triangles(const struct vox_measuring *m, const struct fmt_tris
                             uint32_t count);
 /* Adds what is known of boxes by a chunk. */
 void vox_boxes_add(struct vox_measuring *m, const struct vox_box_sums *list, uint32_t count);
-/* Bounds the triangles of the mesh for all boxes by m->bounds, and sets the boxes' distances.
- * Errors: BSQ_EINTR. */
-int vox_boxes_end(struct vox_measuring *m);
+/* Bounds the triangles of the mesh for all boxes by m->bounds. Errors: BSQ_ENOMEM, BSQ_EINTR. */
+int vox_boxes_add_mesh(struct vox_measuring *m);
+/* Sets the boxes' distances. */
+void vox_boxes_end(const struct vox_measuring *m);
 
 /* Adds sums to others. */
 void vox_sums_add(struct vox_sums *sums, const struct vox_sums *other);
@@ -134,11 +148,12 @@ void vox_summarize(const struct vox_measuring *m, const struct vox_sums *sums,
                    const struct vox_bound *bound, struct vox_distances *out);
 
 /* samples.c: measures the distances of points spread over the mesh, and of its vertices, from the
- * scan. Sets m->from_mesh, and m->low to the largest one; lowers m->bounds by them. */
+ * scan. Adds those in the region to m->from_mesh, and raises m->low to the largest one; lowers
+ * m->bounds by them. */
 int vox_measure_samples(struct vox_measuring *m);
 
 /* resolve.c: bounds the triangles of the mesh whose m->bounds are higher than m->low allows, by the
- * scan around them. Sets m->low.high. */
+ * scan around them. Raises m->low.high. */
 int vox_resolve_bounds(struct vox_measuring *m);
 
 #endif

@@ -31,9 +31,7 @@ static const double powers_left[PASSES] = {0.8, 0.1, 0};
 static const double weight_most = 4;
 
 struct region {
-    float low[3], high[3];
-    uint64_t triangles; /* of the parts whose middles are in it */
-    /* Then, of its mesh: */
+    const struct vox_region *box;
     struct vox_mesh mesh;
     uint32_t outer;  /* its last triangles, which belong to other regions */
     double wanted;   /* triangles */
@@ -47,15 +45,21 @@ struct spot {
     uint32_t part;
 };
 
+struct dividing {
+    const struct vox_part *parts;
+    struct vox_region *regions;
+    uint64_t count, limit; /* limit: triangles of a region */
+    double share_below;
+};
+
 struct pass {
     struct bsq_ctx *ctx;
     const struct vox_level *from;
     struct vox_level *to;
-    struct spot *spots;
     struct region *regions;
-    uint64_t count, limit; /* limit: triangles of a region */
-    double scale;          /* of weights, which gives the share of its triangles that a
-                              part keeps */
+    uint64_t count;
+    double scale; /* of weights, which gives the share of its triangles that a
+                     part keeps */
     int number;
     struct vox_removed *removed;
 };
@@ -70,21 +74,16 @@ static int compare_spots(const void *a_, const void *b_)
     return a->part < b->part ? -1 : a->part > b->part;
 }
 
-static float middle_of(const struct vox_part *part, int axis)
-{
-    return 0.5F * (part->low[axis] + part->high[axis]);
-}
-
 /* Sorts the parts of a region along the axis in which their middles reach
  * farthest. Returns it. */
-static int sort_spots(const struct pass *p, struct spot *spots, uint64_t count)
+static int sort_spots(const struct dividing *d, struct spot *spots, uint64_t count)
 {
     float longest = -1;
     int axis = 0;
     for (int k = 0; k < 3; k++) {
         float low = INFINITY, high = -INFINITY;
         for (uint64_t i = 0; i < count; i++) {
-            const float at = middle_of(&p->from->parts[spots[i].part], k);
+            const float at = vox_part_middle(&d->parts[spots[i].part], k);
             low = fminf(low, at);
             high = fmaxf(high, at);
         }
@@ -92,44 +91,58 @@ static int sort_spots(const struct pass *p, struct spot *spots, uint64_t count)
         longest = fmaxf(longest, high - low);
     }
     for (uint64_t i = 0; i < count; i++)
-        spots[i].at = middle_of(&p->from->parts[spots[i].part], axis);
+        spots[i].at = vox_part_middle(&d->parts[spots[i].part], axis);
     bsq_sort(spots, count, sizeof *spots, compare_spots);
     return axis;
 }
 
 /* Divides a region by planes until each has few enough triangles, or one part.
  */
-static void divide_region(struct pass *p, struct region region, struct spot *spots, uint64_t count)
+static void divide_region(struct dividing *d, struct vox_region region, struct spot *spots,
+                          uint64_t count)
 {
-    struct region above = region;
+    struct vox_region above = region;
     uint64_t below = 0, split = 0;
     region.triangles = 0;
     for (uint64_t i = 0; i < count; i++)
-        region.triangles += p->from->parts[spots[i].part].triangles;
-    if (region.triangles <= p->limit || count < 2) {
-        p->regions[p->count++] = region;
+        region.triangles += d->parts[spots[i].part].triangles;
+    if (region.triangles <= d->limit || count < 2) {
+        d->regions[d->count++] = region;
         return;
     }
-    const int axis = sort_spots(p, spots, count);
+    const int axis = sort_spots(d, spots, count);
     do
-        below += p->from->parts[spots[split++].part].triangles;
-    while (split < count - 1 && (double)below < shares_below[p->number] * (double)region.triangles);
+        below += d->parts[spots[split++].part].triangles;
+    while (split < count - 1 && (double)below < d->share_below * (double)region.triangles);
     region.high[axis] = above.low[axis] = spots[split].at;
-    divide_region(p, region, spots, split);
-    divide_region(p, above, spots + split, count - split);
+    divide_region(d, region, spots, split);
+    divide_region(d, above, spots + split, count - split);
+}
+
+int vox_divide_level(const struct vox_level *level, uint64_t limit, double share_below,
+                     struct vox_region **regions, uint64_t *count)
+{
+    const struct vox_region all = {.low = {-INFINITY, -INFINITY, -INFINITY},
+                                   .high = {INFINITY, INFINITY, INFINITY}};
+    struct dividing d = {.parts = level->parts, .limit = limit, .share_below = share_below};
+    struct spot *spots = NULL;
+    int status = 0;
+    *count = 0;
+    BSQ_TRY(BSQ_ALLOC(level->ctx, "regions", level->part_count, regions));
+    BSQ_TRY(BSQ_ALLOC(level->ctx, "regions", level->part_count, &spots));
+    d.regions = *regions;
+    for (uint64_t i = 0; i < level->part_count; i++)
+        spots[i] = (struct spot){.part = (uint32_t)i};
+    divide_region(&d, all, spots, level->part_count);
+    *count = d.count;
+done:
+    bsq_free(level->ctx, spots);
+    return status;
 }
 
 /* ---- the mesh of a region ---- */
 
-static bool is_in(const struct region *region, const float position[3])
-{
-    bool in = true;
-    for (int k = 0; k < 3; k++)
-        in = in && position[k] >= region->low[k] && position[k] < region->high[k];
-    return in;
-}
-
-static bool is_part_near(const struct region *region, const struct vox_part *part)
+static bool is_part_near(const struct vox_region *region, const struct vox_part *part)
 {
     bool near = true;
     for (int k = 0; k < 3; k++)
@@ -139,7 +152,7 @@ static bool is_part_near(const struct region *region, const struct vox_part *par
 
 /* Returns how many corners of a triangle are in a region. *own: whether the
  * least one is. */
-static unsigned count_corners(const struct region *region, const float (*positions)[3],
+static unsigned count_corners(const struct vox_region *region, const float (*positions)[3],
                               const uint32_t corners[3], bool *own)
 {
     const float *least = positions[corners[0]];
@@ -150,9 +163,9 @@ static unsigned count_corners(const struct region *region, const float (*positio
         while (k < 2 && p[k] == least[k])
             k++;
         least = p[k] < least[k] ? p : least;
-        count += is_in(region, p);
+        count += vox_region_has(region, p);
     }
-    *own = is_in(region, least);
+    *own = vox_region_has(region, least);
     return count;
 }
 
@@ -175,7 +188,7 @@ static void keep_near(const struct pass *p, const struct vox_part *part, uint32_
     for (uint32_t i = 0; i < part->triangles; i++) {
         const uint32_t *corners = mesh->triangles[mesh->triangle_count + i];
         bool own;
-        const unsigned in = count_corners(region, (const float(*)[3])positions, corners, &own);
+        const unsigned in = count_corners(region->box, (const float(*)[3])positions, corners, &own);
         if (in == 0)
             continue;
         /* What stays is beyond the share of others, until the last pass. */
@@ -210,7 +223,7 @@ static int lock_shared(struct bsq_ctx *ctx, struct region *region)
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         const uint32_t *corners = mesh->triangles[t];
         bool own;
-        if (count_corners(region, positions, corners, &own) < 3)
+        if (count_corners(region->box, positions, corners, &own) < 3)
             for (int k = 0; k < 3; k++)
                 region->locked[corners[k]] = 1;
         if (own) {
@@ -238,7 +251,7 @@ static int gather_region(const struct pass *p, struct region *region)
     int status = 0;
     for (uint64_t i = 0; i < from->part_count; i++) {
         const struct vox_part *part = &from->parts[i];
-        if (!is_part_near(region, part))
+        if (!is_part_near(region->box, part))
             continue;
         vertices += part->vertices;
         triangles += part->triangles;
@@ -250,7 +263,7 @@ static int gather_region(const struct pass *p, struct region *region)
     region->mesh.vertex_count = region->mesh.triangle_count = 0;
     for (uint64_t i = 0; i < from->part_count; i++) {
         const struct vox_part *part = &from->parts[i];
-        if (!is_part_near(region, part))
+        if (!is_part_near(region->box, part))
             continue;
         BSQ_TRY(vox_level_read(from, i, &region->mesh));
         keep_near(p, part, numbers, region);
@@ -365,21 +378,19 @@ static void choose_scale(struct pass *p, struct vox_part *parts, uint64_t target
     p->scale = low;
 }
 
-static int run_pass(struct pass *p, uint64_t target)
+static int run_pass(struct pass *p, uint64_t target, uint64_t limit)
 {
     const struct vox_level *from = p->from;
-    const struct region all = {.low = {-INFINITY, -INFINITY, -INFINITY},
-                               .high = {INFINITY, INFINITY, INFINITY}};
+    struct vox_region *boxes = NULL;
     struct region **slots = NULL;
     uint64_t most = 0;
     int status = 0;
-    BSQ_TRY(BSQ_ALLOC(p->ctx, "regions", from->part_count, &p->spots));
-    BSQ_TRY(BSQ_ALLOC(p->ctx, "regions", from->part_count, &p->regions));
-    for (uint64_t i = 0; i < from->part_count; i++)
-        p->spots[i] = (struct spot){.part = (uint32_t)i};
-    divide_region(p, all, p->spots, from->part_count);
-    for (uint64_t i = 0; i < p->count; i++)
-        most = p->regions[i].triangles > most ? p->regions[i].triangles : most;
+    BSQ_TRY(vox_divide_level(from, limit, shares_below[p->number], &boxes, &p->count));
+    BSQ_TRY(BSQ_CALLOC(p->ctx, "regions", p->count, &p->regions));
+    for (uint64_t i = 0; i < p->count; i++) {
+        p->regions[i].box = &boxes[i];
+        most = boxes[i].triangles > most ? boxes[i].triangles : most;
+    }
     choose_scale(p, from->parts, target);
     BSQ_TRY(vox_level_begin(from, from->triangles / PART_TRIANGLES + p->count, false, p->to));
     const unsigned slot_count =
@@ -396,11 +407,11 @@ static int run_pass(struct pass *p, uint64_t target)
     status = bsq_pipeline_run(p->ctx, &pipeline);
     bsq_progress_end(p->ctx);
 done:
-    for (uint64_t i = 0; i < p->count; i++) {
+    for (uint64_t i = 0; p->regions && i < p->count; i++) {
         bsq_free(p->ctx, p->regions[i].locked);
         vox_mesh_free(p->ctx, &p->regions[i].mesh);
     }
-    BSQ_FREE(p->ctx, slots, p->regions, p->spots);
+    BSQ_FREE(p->ctx, slots, p->regions, boxes);
     return status;
 }
 
@@ -409,14 +420,10 @@ int vox_collapse_regions(struct vox_level *level, uint64_t target, uint64_t limi
 {
     const double ratio = (double)level->triangles / (double)target;
     for (int i = 0; i < PASSES && level->triangles > target; i++) {
-        struct vox_level next = {.ctx = level->ctx};
-        struct pass p = {.ctx = level->ctx,
-                         .from = level,
-                         .to = &next,
-                         .limit = limit,
-                         .number = i,
-                         .removed = removed};
-        int status = run_pass(&p, (uint64_t)((double)target * pow(ratio, powers_left[i])));
+        struct vox_level next = {.ctx = level->ctx, .numbers = level->numbers};
+        struct pass p = {
+            .ctx = level->ctx, .from = level, .to = &next, .number = i, .removed = removed};
+        int status = run_pass(&p, (uint64_t)((double)target * pow(ratio, powers_left[i])), limit);
         vox_level_free(level, &next);
         BSQ_PASS(status);
     }

@@ -181,7 +181,7 @@ static void choose_open(struct resolving *r)
 {
     const struct vox_measuring *m = r->m;
     const double scan = (double)fmt_tris_get_header(m->file)->triangle_count,
-                 density = scan / (m->reach * m->reach * m->mesh->triangle_count);
+                 density = scan / m->area;
     double expected = 0;
     for (r->chosen_count = 0; r->chosen_count < r->open_count; r->chosen_count++) {
         const struct open_triangle *open = &r->open[r->chosen_count];

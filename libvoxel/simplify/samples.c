@@ -78,7 +78,7 @@ static void spread_samples(struct sampling *s, double most)
         const uint32_t *corners = mesh->triangles[t];
         const float(*positions)[3] = (const float(*)[3])mesh->positions;
         const bool last = t + 1 == mesh->triangle_count;
-        const double bound = s->m->bounds[t];
+        const double bound = s->m->bounds[t] > 0 ? s->m->bounds[t] : INFINITY; /* 0: not its own */
         reached += vox_triangle_area(positions, corners);
         for (; done < s->area_samples && (last || (done + 0.5) * area < reached * s->area_samples);
              done++) {
@@ -298,13 +298,15 @@ static int measure_all(struct sampling *s, double most)
 /* Adds up the distances, and lowers the bounds of open triangles. */
 static void use_samples(struct vox_measuring *m, const struct sampling *s)
 {
+    /* What a sample stands for, as all regions have as many. */
+    const double weight = m->reach * m->reach * m->mesh->triangle_count / m->area;
     for (uint32_t i = 0; i < s->sample_count && !m->marks; i++) {
         const double square = get_found(s, i);
         const float *p = s->points[i];
         const double point[3] = {(double)p[0], (double)p[1], (double)p[2]};
-        if (i < s->area_samples) {
-            vox_add_distance(m, m->from_mesh, square, 1);
-            vox_boxes_add_point(m, point, square, 1, m->boxes.from_mesh, m->boxes.count);
+        if (i < s->area_samples && vox_region_has(m->region, p)) {
+            vox_add_distance(m, m->from_mesh, square, weight);
+            vox_boxes_add_point(m, point, square, weight, m->boxes.from_mesh, m->boxes.count);
         }
         vox_bound_note(&m->low, point, sqrt(square));
     }

@@ -92,9 +92,12 @@ struct vox_marks {
  * mesh from the scan. Maxima are bounds, means are by area. Reads the scan twice, chunk by chunk,
  * and then the chunks around triangles that are still open. marks: NULL, or triangles are marked
  * where a bound is above the limit, and maxima mean nothing: if none is, no point is farther. Also
- * sets the distances of boxes. Errors: BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA, BSQ_EINTR. */
+ * sets the distances of boxes. at_once: a mesh of more than twice as many triangles is measured
+ * region by region without marks; distances above 16 times the mean edge may be larger then.
+ * Errors: BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA, BSQ_EINTR. */
 int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_mesh *mesh,
                 struct vox_marks *marks, struct vox_measured_box *boxes, uint32_t box_count,
-                struct vox_distances *scan_to_mesh, struct vox_distances *mesh_to_scan);
+                uint32_t at_once, struct vox_distances *scan_to_mesh,
+                struct vox_distances *mesh_to_scan);
 
 #endif

@@ -1,6 +1,9 @@
 /* Tests edge collapse region by region: what one mesh in memory keeps, regions keep, and where they
  * met does not show. */
+#include <stdio.h>
+
 #include "libvoxel/simplify/steps.h"
+#include "libvoxel/voxel.h"
 #include "tests/unit/test.h"
 
 #define PI 3.14159265358979323846
@@ -165,6 +168,71 @@ TEST(bytes_are_the_same_in_little_memory)
     assert_int_equal(status, 0);
     vox_mesh_free(large, &wanted);
     test_context_end(large);
+}
+
+/* Writes the waves of a square of side 4, of n x n squares. */
+static void write_waves(const char *path, unsigned n)
+{
+    FILE *file = fopen(path, "w");
+    assert_non_null(file);
+    for (unsigned i = 0; i < (n + 1) * (n + 1); i++) {
+        float p[3];
+        half_flat(i % (n + 1) / (double)n, i / (n + 1) / (double)n, p);
+        fprintf(file, "v %.9g %.9g %.9g\n", (double)p[0], (double)p[1], (double)p[2]);
+    }
+    for (unsigned i = 0; i < n * n; i++) {
+        const unsigned a = i / n * (n + 1) + i % n + 1;
+        fprintf(file, "f %u %u %u %u\n", a, a + 1, a + n + 2, a + n + 1);
+    }
+    assert_int_equal(fclose(file), 0);
+}
+
+static void check_near(double value, double wanted, double share)
+{
+    assert_true(fabs(value - wanted) <= share * wanted);
+}
+
+/* Region by region, distances are those of a mesh that is measured at once, also of boxes. */
+CONTEXT_TEST(regions_are_measured_as_the_whole, 2, 0)
+{
+    const char *path = "waves.obj";
+    struct vox_sort_options options;
+    struct vox_sort_report report = {.size = sizeof report};
+    struct fmt_tris_file *file;
+    struct vox_mesh mesh = {0};
+    struct vox_distances there[2], back[2];
+    struct vox_measured_box boxes[2][2];
+    write_waves(path, 400);
+    vox_sort_defaults(&options);
+    options.scan_paths = &path;
+    options.scan_count = 1;
+    options.tris_path = "waves.tris";
+    assert_int_equal(vox_sort(ctx, &options, &report), 0);
+    assert_int_equal(fmt_tris_open(ctx, "waves.tris", &file), 0);
+    assert_true(fmt_tris_get_header(file)->chunk_count > 4);
+    assert_int_equal(collapse(ctx, false, half_flat, &mesh), 0);
+    for (int i = 0; i < 2; i++) {
+        for (int k = 0; k < 2; k++)
+            boxes[i][k] =
+                (struct vox_measured_box){.low = {k ? 3 : -INFINITY, -INFINITY, -INFINITY},
+                                          .high = {k ? INFINITY : 3, INFINITY, INFINITY}};
+        assert_int_equal(vox_measure(ctx, file, &mesh, NULL, boxes[i], 2, i ? 1000 : TARGET,
+                                     &there[i], &back[i]),
+                         0);
+    }
+    check_near(there[1].mean, there[0].mean, 0.01);
+    check_near(there[1].rms, there[0].rms, 0.01);
+    check_near(there[1].max, there[0].max, 0.011);
+    check_near(back[1].mean, back[0].mean, 0.05);
+    check_near(back[1].max, back[0].max, 0.011);
+    for (int k = 0; k < 2; k++) {
+        check_near(boxes[1][k].from_scan.mean, boxes[0][k].from_scan.mean, 0.01);
+        check_near(boxes[1][k].from_scan.max, boxes[0][k].from_scan.max, 0.011);
+        check_near(boxes[1][k].from_mesh.mean, boxes[0][k].from_mesh.mean, 0.05);
+        check_near(boxes[1][k].from_mesh.max, boxes[0][k].from_mesh.max, 0.03);
+    }
+    vox_mesh_free(ctx, &mesh);
+    fmt_tris_close(file);
 }
 
 RUN_TESTS(NULL, NULL)
