@@ -5,13 +5,17 @@ enough triangles of the next level. Both sides of a plane get the same points an
 for all finer levels, so a tile covers what its children cover."""
 from __future__ import annotations
 
+import mmap
+import os
+import re
+import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Iterator
 
 import numpy as np
 
-from .mesh import Error, read_mesh
+from .mesh import Error
 
 #: Points closer to a plane than this share of their shortest edge move onto it, unless the surface is close to
 #: parallel to the plane: the square of the sine of their angle.
@@ -20,8 +24,10 @@ SLIDE_SHARE, SLIDE_STEEP = 0.25, 0.1
 #: they are wider than these by a factor, and by a share of the tile's size, for what is drawn between rounded points.
 #: Of normals that are almost those of a plane, less than SKIRT_STEEP lies in it, and they are taken as they are.
 WIDTH, SKIRT_LEVELS, SKIRT_FACTOR, SKIRT_LEAST, SKIRT_STEEP = 6, 2, 1.25, 1e-4, 0.1
-#: Distances that are computed at once.
-PAIRS = 1 << 20
+#: Distances that are computed at once, and triangles.
+PAIRS, ROWS = 1 << 20, 1 << 18
+#: Arrays of more bytes are in a file without a name, which need not stay in memory.
+LARGE = 1 << 21
 
 
 @dataclass
@@ -32,17 +38,55 @@ class Part:
     faces: np.ndarray
 
 
+class Store:
+    """Parts of tiles, in a file without a name."""
+
+    def __init__(self, folder: Path | None):
+        self.folder, self.file = folder, tempfile.TemporaryFile(dir=folder)
+
+    def add(self, part: Part) -> tuple[int, int, int]:
+        """Returns where a part is, and its points and triangles."""
+        at = self.file.seek(0, 2)
+        self.file.write(np.ascontiguousarray(part.points))
+        self.file.write(np.ascontiguousarray(part.faces))
+        self.file.flush()
+        return at, len(part.points), len(part.faces)
+
+    def get(self, at: int, points: int, faces: int) -> Part:
+        data = os.pread(self.file.fileno(), 28 * points + 12 * faces, at)
+        return Part(np.frombuffer(data, np.float32, 7 * points).reshape(-1, 7),
+                    np.frombuffer(data, np.int32, 3 * faces, 28 * points).reshape(-1, 3))
+
+    def array(self, rows: int, columns: int, kind: Any) -> np.ndarray:
+        """Returns an array that is not set."""
+        if rows * columns * 4 < LARGE:
+            return np.empty((rows, columns), kind)
+        with tempfile.TemporaryFile(dir=self.folder) as file:
+            file.truncate(rows * columns * 4)
+            return np.frombuffer(mmap.mmap(file.fileno(), 0), kind).reshape(rows, columns)
+
+
 @dataclass
 class Tile:
     """A tile: its region, a box whose sides are planes or at infinity, and what is in it."""
     level: int  # 0: the coarsest
     low: np.ndarray
     high: np.ndarray
-    part: Part
+    store: Store
+    place: tuple[int, int, int]  # of its part there
     name: str = ""
     error: float = 0.0  # no point of the tile and of the scan in its region is farther from the other one
     distances: dict = field(default_factory=dict)  # of the scan in its region from the level, and of the tile's points
     children: list[Tile] = field(default_factory=list)
+
+    @property
+    def part(self) -> Part:
+        """What is in it, read anew."""
+        return self.store.get(*self.place)
+
+    @property
+    def triangles(self) -> int:
+        return self.place[2]
 
     def all(self) -> Iterator[Tile]:
         yield self
@@ -52,29 +96,56 @@ class Tile:
 
 # ---- cutting ----
 
-def read_level(path: Path, origin: np.ndarray) -> Part:
-    """Reads a mesh of bisque-simplify; positions become relative to an origin."""
-    mesh = read_mesh(str(path))
-    points = np.zeros((len(mesh.vertices), 7), np.float32)
-    points[:, :3] = mesh.vertices - origin
-    points[mesh.faces.ravel(), 3:6] = mesh.normals[mesh.normal_faces.ravel()]
-    return Part(points, mesh.faces.astype(np.int32))
+def _blocks(count: int) -> Iterator[slice]:
+    return (slice(begin, min(begin + ROWS, count)) for begin in range(0, count, ROWS))
 
 
-def _slide(part: Part, axis: int, value: np.float32, low: np.ndarray, high: np.ndarray) -> Part:
+def _find(faces: np.ndarray, test: Any) -> np.ndarray:
+    """Returns for each triangle what a test of many says."""
+    found = np.empty(len(faces), bool)
+    for rows in _blocks(len(faces)):
+        found[rows] = test(faces[rows])
+    return found
+
+
+def read_level(path: Path, origin: np.ndarray, store: Store) -> Part:
+    """Reads a PLY file of bisque-simplify; positions become relative to an origin."""
+    with open(path, "rb") as file:
+        head = file.read(1024).partition(b"end_header\n")[0].decode("ascii")
+    vertices, faces = (int(re.search(rf"element {name} (\d+)", head)[1]) for name in ("vertex", "face"))
+    rows = np.dtype([("p", "<f8" if "double x" in head else "<f4", 3), ("n", "<f4", 3)])
+    at = len(head) + len("end_header\n")
+    read = np.memmap(path, rows, "r", at, vertices)
+    part = Part(store.array(vertices, 7, np.float32), store.array(faces, 3, np.int32))
+    for some in _blocks(vertices):
+        part.points[some, :3] = read["p"][some] - origin
+        part.points[some, 3:6], part.points[some, 6] = read["n"][some], 0
+    read = np.memmap(path, np.dtype([("count", "u1"), ("v", "<u4", 3)]), "r", at + vertices * rows.itemsize, faces)
+    for some in _blocks(faces):
+        part.faces[some] = read["v"][some]
+    return part
+
+
+def _slide(part: Part, axis: int, value: np.float32, low: np.ndarray, high: np.ndarray) -> None:
     """Moves points that are close to a plane onto it, along the surface: cuts through their edges would leave slivers.
     Points on the region's own planes stay, for the other side has them too."""
     points, faces = part.points, part.faces
-    side = np.sign(points[:, axis] - value)[faces]
+    above = np.sign(points[:, axis] - value).astype(np.int8)
+    across = _find(faces, lambda some: (above[some].min(axis=1) < 0) & (above[some].max(axis=1) > 0))
     near = np.zeros(len(points), bool)
-    near[faces[(side.min(axis=1) < 0) & (side.max(axis=1) > 0)]] = True
-    near &= ~((points[:, :3] == low) | (points[:, :3] == high)).any(axis=1)
-    around = faces[near[faces].any(axis=1)]
-    p = points[around, :3].astype(np.float64)
-    edges = np.linalg.norm(p - np.roll(p, -1, axis=1), axis=2)
-    shortest = np.full(len(points), np.inf)
-    np.minimum.at(shortest, around, np.minimum(edges, np.roll(edges, 1, axis=1)))
+    near[faces[across]] = True
     chosen = np.flatnonzero(near)
+    chosen = chosen[~((points[chosen, :3] == low) | (points[chosen, :3] == high)).any(axis=1)]
+    near[:] = False
+    near[chosen] = True
+    around = faces[_find(faces, lambda some: near[some].any(axis=1))]
+    used, around = np.unique(around, return_inverse=True)
+    around = around.reshape(-1, 3)
+    p = points[used, :3].astype(np.float64)[around]
+    edges = np.linalg.norm(p - np.roll(p, -1, axis=1), axis=2)
+    shortest = np.full(len(used), np.inf)
+    np.minimum.at(shortest, around, np.minimum(edges, np.roll(edges, 1, axis=1)))
+    shortest = shortest[np.searchsorted(used, chosen)]
     normals = points[chosen, 3:6].astype(np.float64)
     along = -normals[:, axis, None] * normals
     along[:, axis] += 1
@@ -82,11 +153,9 @@ def _slide(part: Part, axis: int, value: np.float32, low: np.ndarray, high: np.n
     steep = rise > SLIDE_STEEP
     step = np.zeros_like(along)
     step[steep] = along[steep] * ((value - points[chosen[steep], axis].astype(np.float64)) / rise[steep])[:, None]
-    moved = steep & (np.linalg.norm(step, axis=1) < SLIDE_SHARE * shortest[chosen])
-    points = points.copy()
+    moved = steep & (np.linalg.norm(step, axis=1) < SLIDE_SHARE * shortest)
     points[chosen[moved], :3] += step[moved].astype(np.float32)
     points[chosen[moved], axis] = value
-    return Part(points, faces)
 
 
 def _points_between(points: np.ndarray, edges: np.ndarray, axis: int, value: np.float32) -> np.ndarray:
@@ -101,23 +170,48 @@ def _points_between(points: np.ndarray, edges: np.ndarray, axis: int, value: np.
     return found.astype(np.float32)
 
 
-def _compact(points: np.ndarray, faces: np.ndarray) -> Part:
-    """Keeps the points that triangles have, in their order, and triangles with three positions."""
-    p = points[faces, :3]
-    same = [(p[:, k] == p[:, (k + 1) % 3]).all(axis=1) for k in range(3)]
-    faces = faces[~np.logical_or.reduce(same)]
-    used, which = np.unique(faces, return_inverse=True)
-    return Part(points[used], which.reshape(-1, 3).astype(np.int32))
+def _take(part: Part, new: np.ndarray, chosen: np.ndarray, more: np.ndarray, store: Store) -> Part:
+    """Returns chosen triangles, and more of them, which may have new points, behind the part's. Keeps the points that
+    triangles have, in their order, and triangles with three positions."""
+    count = len(part.points)
+
+    def differ(p: np.ndarray) -> np.ndarray:
+        return ~np.logical_or.reduce([(p[:, k] == p[:, (k + 1) % 3]).all(axis=1) for k in range(3)])
+
+    chosen = chosen & _find(part.faces, lambda some: differ(part.points[some, :3]))
+    p = np.empty((more.size, 3), np.float32)
+    old, flat = more.ravel() < count, more.ravel()
+    p[old], p[~old] = part.points[flat[old], :3], new[flat[~old] - count, :3]
+    more = more[differ(p.reshape(-1, 3, 3))]
+    used = np.zeros(count + len(new), bool)
+    used[more] = True
+    for rows in _blocks(len(chosen)):
+        used[part.faces[rows][chosen[rows]]] = True
+    number = np.cumsum(used, dtype=np.int32) - 1
+    out = Part(store.array(int(used.sum()), 7, np.float32), store.array(int(chosen.sum()) + len(more), 3, np.int32))
+    at = 0
+    for rows in _blocks(count):
+        some = part.points[rows][used[rows]]
+        out.points[at:at + len(some)] = some
+        at += len(some)
+    out.points[at:] = new[used[count:]]
+    at = 0
+    for rows in _blocks(len(chosen)):
+        some = number[part.faces[rows][chosen[rows]]]
+        out.faces[at:at + len(some)] = some
+        at += len(some)
+    out.faces[at:] = number[more]
+    return out
 
 
-def cut(part: Part, axis: int, value: np.float32) -> tuple[Part, Part]:
+def cut(part: Part, axis: int, value: np.float32, store: Store) -> tuple[Part, Part]:
     """Divides triangles at a plane: those below it, and those above."""
     points, faces = part.points, part.faces
     side = np.sign(points[:, axis] - value).astype(np.int8)
-    of = side[faces]
-    below, above = (of <= 0).all(axis=1), (of >= 0).all(axis=1)
-    whole = below | above
-    across, sides = faces[~whole], of[~whole]
+    below = _find(faces, lambda some: (side[some] <= 0).all(axis=1))
+    above = _find(faces, lambda some: (side[some] >= 0).all(axis=1))
+    across = faces[~(below | above)]
+    sides = side[across]
     # Corners turn so that the first one is on the plane, or else alone on its side of it.
     product = sides.prod(axis=1)
     first = np.where(product == 0, (sides == 0).argmax(axis=1), (sides == product[:, None]).argmax(axis=1))
@@ -134,19 +228,21 @@ def cut(part: Part, axis: int, value: np.float32) -> tuple[Part, Part]:
     pieces = [(a[on], b[on], middle), (a[on], middle, c[on]), (a[~on], first_new, second_new),
               (first_new, b[~on], c[~on]), (first_new, c[~on], second_new)]
     signs = [sides[on, 1], sides[on, 2], sides[~on, 0], -sides[~on, 0], -sides[~on, 0]]
-    points = np.concatenate([points, _points_between(points, edges, axis, value)])
+    found = _points_between(points, edges, axis, value)
     cut_faces = np.concatenate([np.stack(piece, axis=1) for piece in pieces]).astype(np.int32)
     signs = np.concatenate(signs)
-    return (_compact(points, np.concatenate([faces[below], cut_faces[signs < 0]])),
-            _compact(points, np.concatenate([faces[above & ~below], cut_faces[signs > 0]])))
+    return (_take(part, found, below, cut_faces[signs < 0], store),
+            _take(part, found, above & ~below, cut_faces[signs > 0], store))
 
 
 def _border_edges(part: Part, axis: int, value: np.float32) -> np.ndarray:
     """Returns the edges of a part at a plane, as pairs of corners: numbers of a flat list of all triangles' corners."""
-    corners = np.arange(part.faces.size).reshape(-1, 3)
+    at = part.points[:, axis] == value
+    rows = np.flatnonzero(_find(part.faces, lambda some: at[some].sum(axis=1) > 1))
+    corners = 3 * rows[:, None] + np.arange(3)
     edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)
     ends = part.faces.ravel()[edges].astype(np.int64)
-    on = (part.points[ends, axis] == value).all(axis=1)
+    on = at[ends].all(axis=1)
     edges, ends = edges[on], ends[on]
     # A triangle may lie in the plane: its inner edges run both ways.
     there, back = ends @ [len(part.points), 1], ends @ [1, len(part.points)]
@@ -193,11 +289,14 @@ def _choose_plane(part: Part) -> tuple[int, np.float32]:
     raise Error(65, f"{len(part.faces)} triangles at one place cannot be divided: allow more triangles in a tile")
 
 
-def divide(parts: list[Part], limit: int, level: int = 0, low: Any = -np.inf, high: Any = np.inf) -> Tile:
-    """Makes the tree of tiles of all levels in a region, the coarsest level first."""
+def divide(parts: list[Part], limit: int, store: Store, level: int = 0, low: Any = -np.inf,
+           high: Any = np.inf) -> Tile:
+    """Makes the tree of tiles of all levels in a region, the coarsest level first. Takes the parts out of the list, and
+    changes them."""
     low, high = (np.broadcast_to(np.float32(side), 3).copy() for side in (low, high))
-    tile = Tile(level, low, high, parts[0])
+    tile = Tile(level, low, high, store, store.add(parts[0]))
     waiting = [(parts[1:], tile.low, tile.high)]
+    parts.clear()
     while waiting:
         rest, low, high = waiting.pop()
         skipped = level + 1
@@ -206,10 +305,13 @@ def divide(parts: list[Part], limit: int, level: int = 0, low: Any = -np.inf, hi
         if not rest:
             continue
         if len(rest[0].faces) <= limit:
-            tile.children.append(divide(rest, limit, skipped, low, high))
+            tile.children.append(divide(rest, limit, store, skipped, low, high))
             continue
         axis, value = _choose_plane(rest[0])
-        halves = [cut(_slide(part, axis, value, low, high), axis, value) for part in rest]
+        halves = []
+        while rest:  # a part goes before the next one is cut
+            _slide(rest[0], axis, value, low, high)
+            halves.append(cut(rest.pop(0), axis, value, store))
         for side in zip(*halves):
             _widen(list(side), axis, value)
         middle_low, middle_high = low.copy(), high.copy()

@@ -22,7 +22,7 @@ import numpy as np
 from . import core, glb, uv
 from .asset import PUBLISHED, check_library, lost_of, older_files, publish, sorted_scan, versions
 from .core import Error
-from .cut import Tile, add_skirt, divide, read_level
+from .cut import Store, Tile, add_skirt, divide, read_level
 from .glb import Glb, Writer, write_plain
 from .mesh import Mesh, check_real, check_triangles, parse_amount, parse_texels
 from .place import check_options, place_glb, unit_of
@@ -97,12 +97,12 @@ def _finish_tile(tile: Tile, baked: Glb, number: int, width: float, path: Path, 
     root = baked.head
     primitive = root["meshes"][0]["primitives"][number]
     attributes, faces = baked.primitive(primitive)
-    if len(faces) < len(tile.part.faces):
-        raise Error(70, f"tile {tile.name}: {len(faces)} triangles of {len(tile.part.faces)} were baked")
-    used, faces = np.unique(faces[:len(tile.part.faces)], return_inverse=True)  # strips around charts follow
-    faces = faces.reshape(-1, 3)
+    if len(faces) < tile.triangles:
+        raise Error(70, f"tile {tile.name}: {len(faces)} triangles of {tile.triangles} were baked")
+    used, faces = np.unique(faces[:tile.triangles], return_inverse=True)  # strips around charts follow
+    faces, part = faces.reshape(-1, 3), tile.part
     rows = np.concatenate([attributes[name][used] for name, _, _ in COLUMNS], axis=1).astype(np.float32)
-    rows[faces.ravel(), :6] = tile.part.points[tile.part.faces.ravel(), :6]  # relative to the origin of all tiles
+    rows[faces.ravel(), :6] = part.points[part.faces.ravel(), :6]  # relative to the origin of all tiles
     rows, faces = add_skirt(tile, rows, faces, width)
     material = root["materials"][primitive["material"]]
     images = []
@@ -121,7 +121,7 @@ def _finish_tile(tile: Tile, baked: Glb, number: int, width: float, path: Path, 
         out.head.update(samplers=root["samplers"][:1],
                         textures=[{"source": i, "sampler": 0} for i in range(len(images))],
                         images=[{"bufferView": out.add(image), "mimeType": "image/png"} for image in images])
-    found = {"skirt_triangles": len(faces) - len(tile.part.faces)}
+    found = {"skirt_triangles": len(faces) - tile.triangles}
     if packing == PLAIN:
         out.write(path)
     else:
@@ -140,8 +140,9 @@ def _finish_tile(tile: Tile, baked: Glb, number: int, width: float, path: Path, 
 def _digest(tiles: list[Tile]) -> str:
     digest = hashlib.sha256()
     for tile in tiles:
-        digest.update(f"{tile.name} {tile.part.points.shape} {tile.part.faces.shape}".encode())
-        digest.update(tile.part.points.tobytes() + tile.part.faces.tobytes())
+        part = tile.part
+        digest.update(f"{tile.name} {part.points.shape} {part.faces.shape}".encode())
+        digest.update(part.points.tobytes() + part.faces.tobytes())
     return digest.hexdigest()
 
 
@@ -161,7 +162,8 @@ def _make_tree(steps: Steps, chunks: str, targets: list[int], options: dict, ori
         return report
 
     steps.run("simplify", [chunks], options, paths, make)
-    root = divide([read_level(path, origin) for path in reversed(paths)], limit if divided else targets[0])
+    store = Store(steps.folder)
+    root = divide([read_level(path, origin, store) for path in reversed(paths)], limit if divided else targets[0], store)
     counts: dict[int, int] = {}
     for tile in root.all():
         number = counts[tile.level] = counts.get(tile.level, 0) + 1
@@ -169,15 +171,36 @@ def _make_tree(steps: Steps, chunks: str, targets: list[int], options: dict, ori
     return root
 
 
+def _write_level(path: Path, tiles: list[Tile], origin: np.ndarray) -> None:
+    """Writes the triangles of all tiles as one PLY file."""
+    points, faces = (sum(tile.place[k] for tile in tiles) for k in (1, 2))
+    with open(path, "wb") as file:
+        file.write(f"ply\nformat binary_little_endian 1.0\nelement vertex {points}\nproperty double x\n"
+                   f"property double y\nproperty double z\nelement face {faces}\n"
+                   "property list uchar uint vertex_indices\nend_header\n".encode())
+        for tile in tiles:
+            file.write(tile.part.points[:, :3] + origin)
+        start = 0
+        for tile in tiles:
+            part = tile.part
+            rows = np.empty(len(part.faces), [("count", "u1"), ("v", "<u4", 3)])
+            rows["count"], rows["v"] = 3, part.faces + start
+            file.write(rows)
+            start += len(part.points)
+
+
 def _measure(steps: Steps, chunks: str, tiles: list[Tile], origin: np.ndarray, parts: int, job: dict) -> dict:
     """Sets the errors of all tiles of a level. Returns the distances of the level."""
-    starts = np.cumsum([0] + [len(tile.part.points) for tile in tiles[:-1]])
-    faces = np.concatenate([tile.part.faces + start for tile, start in zip(tiles, starts)]).astype(np.int32)
-    vertices = np.concatenate([tile.part.points[:, :3] for tile in tiles]) + origin
     boxes = [np.concatenate([tile.low + origin, tile.high + origin]).tolist() for tile in tiles]
-    found = steps.run(f"check {tiles[0].level}", [chunks], {"content": _digest(tiles), "boxes": boxes}, [],
-                      lambda: core.measure((vertices, faces), chunks, boxes=boxes, progress=steps.report,
-                                           **_left(job)), parts)
+    path = steps.folder / "measured.ply"
+
+    def make() -> dict:
+        _write_level(path, tiles, origin)
+        found = core.measure(path, chunks, boxes=boxes, progress=steps.report, **_left(job))
+        path.unlink()
+        return found
+
+    found = steps.run(f"check {tiles[0].level}", [chunks], {"content": _digest(tiles), "boxes": boxes}, [], make, parts)
     for tile, distances in zip(tiles, found["boxes"]):
         tile.distances = distances
         tile.error = max(of["max"] for of in distances.values())
@@ -268,7 +291,7 @@ def _make_tiles(steps: Steps, chunks: str, tiles: list[Tile], widths: dict[str, 
     if level["geometry"] == "draco":
         baking["version"] = metadata.version("DracoPy")
     baked = _bake(steps, name, chunks, tiles, obj, widths, baking, parts, job)
-    return {tile.name: {"file": f"{tile.name}.glb", "level": tile.level, "triangles": len(tile.part.faces),
+    return {tile.name: {"file": f"{tile.name}.glb", "level": tile.level, "triangles": tile.triangles,
                         **tile.distances, "region": _finite([tile.low + origin, tile.high + origin]),
                         **about, "uv": uvs}
             for tile, about, uvs in zip(tiles, baked, unwrapped)}
@@ -392,7 +415,7 @@ def _plan(steps: Steps, chunks: str, about: dict, options: dict, origin: np.ndar
     measured = [_measure(steps, chunks, some, origin, len(levels), job) if some else {} for some in levels]
     least = 1e-9 * float(np.linalg.norm(np.subtract(about["box"]["max"], about["box"]["min"])))
     _raise_errors(root, least)
-    return _Plan(root, [{"target": target, "triangles": sum(len(tile.part.faces) for tile in some), "tiles": len(some),
+    return _Plan(root, [{"target": target, "triangles": sum(tile.triangles for tile in some), "tiles": len(some),
                          **distances} for target, some, distances in zip(reversed(targets), levels, measured)],
                  [some[i:i + BATCH] for some in levels for i in range(0, len(some), BATCH)], least)
 
