@@ -205,6 +205,8 @@ def test_a_scene_of_trimesh_is_its_meshes(plain, tmp_path):
     trimesh = pytest.importorskip("trimesh")
     scene = trimesh.Scene(trimesh.Trimesh(POINTS, FACES, process=False))
     assert chunks(scene, tmp_path) == plain
+    with pytest.raises(TypeError, match="join them"):
+        bisque.sort(list(scene.geometry.values()), tmp_path / "a.tris")
     mesh = trimesh.Trimesh(POINTS, FACES, process=False, face_colors=np.full((len(FACES), 4), 90, np.uint8))
     with pytest.warns(UserWarning, match="colours of faces are not read"):
         bisque.sort(mesh, tmp_path / "a.tris")

@@ -258,6 +258,8 @@ def as_mesh(thing: Any) -> Mesh:
         return read_mesh(os.fsdecode(thing))
     if hasattr(thing, "geometry") and hasattr(thing, "to_mesh"):  # a trimesh.Scene, as of a GLB file
         thing = thing.to_mesh()
+    if isinstance(thing, (tuple, list)) and any(hasattr(part, "vertices") for part in thing):
+        raise TypeError("several meshes in memory: join them to one, such as by trimesh.util.concatenate()")
     if isinstance(thing, Mesh):
         mesh = thing
     elif isinstance(thing, (tuple, list)) and len(thing) in (2, 3) and not is_path(thing[0]):
