@@ -50,7 +50,8 @@ struct bake_opencl_api {
  * loaded, since drivers keep threads that run its code. */
 bool bake_opencl_load(struct bake_opencl_api *api);
 
-/* Returns the name of an error, or its number if the code is not known. buffer: 32 bytes. */
+/* Returns the name of an error that devices and drivers give, or the number of another one, which
+ * is a mistake in the call. buffer: 32 bytes. */
 const char *bake_opencl_error(cl_int code, char *buffer);
 
 /* A device and what the program needs to know about it. */
