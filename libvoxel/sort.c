@@ -79,6 +79,7 @@ static int read_batches(struct scan *scan, struct fmt_mesh_reader *reader,
     BSQ_PASS(vox_scan_find_materials(scan, reader, options->texture_path, textures,
                                      (enum fmt_ids)options->ids));
     BSQ_PASS(vox_scan_compare_files(scan, options->texture_path));
+    BSQ_PASS(vox_scan_warn_colorless(scan));
     vox_tuple_layout_for(scan, &out->layout);
     return 0;
 }
@@ -124,7 +125,7 @@ static int read_passes(struct scan *scan, struct fmt_mesh_reader *reader,
     int status = read_batches(scan, reader, options, passes, textures, out);
     if (status != BSQ_RETRY)
         return status;
-    vox_partition_free(scan, out);
+    vox_partition_free(out);
     vox_scan_free(scan);
     BSQ_PASS(begin_scan(scan, ctx, options, limits));
     return read_batches(scan, reader, options, PARTITION_TWO_PASSES, textures, out);
@@ -264,7 +265,6 @@ static int write_chunks(const struct scan *scan, const struct partition *partiti
     BSQ_TRY(status);
     if (batches.triangles == 0)
         BSQ_TRY(fail_without_area(scan, batches.degenerate));
-    BSQ_TRY(vox_partition_warn_colorless(scan, partition));
     fmt_tris_skip(writer, batches.degenerate);
     *out = writer;
     writer = NULL;
@@ -282,8 +282,6 @@ static int sort_scan(const struct scan *scan, const struct vox_sort_options *opt
     bsq_progress_begin(scan->ctx, "writing", "triangles", partition->triangles);
     int status = write_chunks(scan, partition, options, report, out);
     bsq_progress_end(scan->ctx);
-    if (status == 0)
-        report->unused_vertices = vox_partition_unused(scan, partition);
     report->seconds_sort = bsq_seconds_now() - start;
     return status;
 }
@@ -338,7 +336,7 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
     BSQ_TRY(read_scan(&scan, limits, options, report, &partition));
     status = sort_scan(&scan, options, &partition, report, &writer);
 done:
-    vox_partition_free(&scan, &partition);
+    vox_partition_free(&partition);
     vox_scan_free(&scan);
     if (status == 0)
         status = sort_make_normals(ctx, options, writer, report);

@@ -96,19 +96,18 @@ struct vox_sort_report {
     uint64_t triangles;            /**< Triangles in the chunk file. */
     uint64_t degenerate_triangles; /**< Triangles without area; left out. */
     uint64_t short_faces;          /**< Faces with fewer than three corners; left out. */
-    uint64_t broken_faces; /**< Faces with a vertex whose position is not finite; left out. */
-    uint64_t lost_corners; /**< Corners that refer to a texture coordinate or normal that does not
-                              exist; they go without. */
-    uint64_t unused_vertices; /**< Vertices that no face refers to. */
-    uint64_t skipped_lines;   /**< Lines with statements that the format does not define. */
-    uint64_t chunks;          /**< Chunks in the chunk file. */
-    uint64_t tris_bytes;      /**< Size of the chunk file. */
-    uint64_t temp_bytes;      /**< Bytes that it wrote to temporary files. */
-    double origin[3];         /**< Origin that stored positions are relative to. */
-    bool has_normals;         /**< The scan has normals. */
-    bool has_texcoords;       /**< The scan has texture coordinates. */
-    bool has_colors;          /**< The scan has vertex colours. */
-    bool has_fine_colors;     /**< Some of them need more than 8 bits. */
+    uint64_t broken_faces;  /**< Faces with a vertex whose position is not finite; left out. */
+    uint64_t lost_corners;  /**< Corners that refer to a texture coordinate or normal that does not
+                               exist; they go without. */
+    uint64_t skipped_lines; /**< Lines with statements that the format does not define. */
+    uint64_t chunks;        /**< Chunks in the chunk file. */
+    uint64_t tris_bytes;    /**< Size of the chunk file. */
+    uint64_t temp_bytes;    /**< Bytes that it wrote to temporary files. */
+    double origin[3];       /**< Origin that stored positions are relative to. */
+    bool has_normals;       /**< The scan has normals. */
+    bool has_texcoords;     /**< The scan has texture coordinates. */
+    bool has_colors;        /**< The scan has vertex colours. */
+    bool has_fine_colors;   /**< Some of them need more than 8 bits. */
     bool has_material_colors; /**< Some material has a colour, without a texture. */
     bool unused_texcoords;    /**< It has texture coordinates, but nothing that needs them. */
     bool double_sided;        /**< Some faces have a material that is seen from behind too. */

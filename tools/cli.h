@@ -215,7 +215,7 @@ struct cli_text cli_size(uint64_t bytes);
 struct cli_text cli_count(uint64_t count);
 struct cli_text cli_counted(uint64_t count, const char *singular, const char *plural);
 
-/* Prints `separator` and, for example, "12 unused vertices" if count > 0. Returns the separator for
+/* Prints `separator` and, for example, "12 skipped lines" if count > 0. Returns the separator for
  * the next count. */
 const char *cli_print_count(const char *separator, uint64_t count, const char *singular,
                             const char *plural);

@@ -128,29 +128,16 @@ static double seconds_of(struct timeval time)
     return (double)time.tv_sec + (double)time.tv_usec * 1e-6;
 }
 
-/* Returns the bytes that this process read by system calls, 0 if the system does not tell. */
-static uint64_t bytes_by_calls(void)
-{
-    unsigned long long bytes = 0;
-    FILE *file = fopen("/proc/self/io", "re");
-    if (!file)
-        return 0;
-    if (fscanf(file, "rchar: %llu", &bytes) != 1)
-        bytes = 0;
-    fclose(file);
-    return bytes;
-}
-
 static json_t *cost_json(const struct cli *cli)
 {
     struct rusage usage = {0};
     getrusage(RUSAGE_SELF, &usage);
-    return json_pack(
-        "{s:i, s:I, s:I, s:I, s:I, s:f, s:f, s:f}", "threads", (int)bsq_threads(cli->ctx),
-        "memory_budget_bytes", (json_int_t)bsq_memory_limit(cli->ctx), "memory_high_bytes",
-        (json_int_t)bsq_memory_high(cli->ctx), "max_rss_bytes", (json_int_t)max_rss_bytes(),
-        "bytes_read", (json_int_t)bytes_by_calls(), "seconds", cli_seconds(&cli->started),
-        "seconds_user", seconds_of(usage.ru_utime), "seconds_system", seconds_of(usage.ru_stime));
+    return json_pack("{s:i, s:I, s:I, s:I, s:f, s:f, s:f}", "threads", (int)bsq_threads(cli->ctx),
+                     "memory_budget_bytes", (json_int_t)bsq_memory_limit(cli->ctx),
+                     "memory_high_bytes", (json_int_t)bsq_memory_high(cli->ctx), "max_rss_bytes",
+                     (json_int_t)max_rss_bytes(), "seconds", cli_seconds(&cli->started),
+                     "seconds_user", seconds_of(usage.ru_utime), "seconds_system",
+                     seconds_of(usage.ru_stime));
 }
 
 /* Returns an array of the files that the job has read, by other programs too, and of those that

@@ -26,7 +26,6 @@ static void print_read(const struct voxelize_job *job)
                            "faces with fewer than three corners");
     next = cli_print_count(next, sort->broken_faces, "face without a finite position",
                            "faces without finite positions");
-    next = cli_print_count(next, sort->unused_vertices, "unused vertex", "unused vertices");
     next = cli_print_count(next, sort->skipped_lines, "unknown line", "unknown lines");
     if (next != first)
         putchar('\n');
@@ -111,18 +110,18 @@ static json_t *names_json(const char *list)
 static json_t *sort_json(const struct vox_sort_report *sort)
 {
     return json_pack(
-        "{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:[f, f, f], s:b, s:b, s:b,"
+        "{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:[f, f, f], s:b, s:b, s:b,"
         " s:b, s:b, s:b, s:b, s:b, s:o, s:o, s:o, s:f, s:f}",
         CLI_COUNT(sort, bytes_read), CLI_COUNT(sort, vertices), CLI_COUNT(sort, faces),
         CLI_COUNT(sort, triangles), CLI_COUNT(sort, degenerate_triangles),
         CLI_COUNT(sort, short_faces), CLI_COUNT(sort, broken_faces), CLI_COUNT(sort, lost_corners),
-        CLI_COUNT(sort, unused_vertices), CLI_COUNT(sort, skipped_lines), CLI_COUNT(sort, chunks),
-        CLI_COUNT(sort, tris_bytes), CLI_COUNT(sort, temp_bytes), "origin", sort->origin[0],
-        sort->origin[1], sort->origin[2], "has_normals", (int)sort->has_normals, "has_texcoords",
-        (int)sort->has_texcoords, "has_colors", (int)sort->has_colors, "has_fine_colors",
-        (int)sort->has_fine_colors, "has_material_colors", (int)sort->has_material_colors,
-        "unused_texcoords", (int)sort->unused_texcoords, "double_sided", (int)sort->double_sided,
-        "uses_textures", (int)sort->uses_textures, "outer_texture",
+        CLI_COUNT(sort, skipped_lines), CLI_COUNT(sort, chunks), CLI_COUNT(sort, tris_bytes),
+        CLI_COUNT(sort, temp_bytes), "origin", sort->origin[0], sort->origin[1], sort->origin[2],
+        "has_normals", (int)sort->has_normals, "has_texcoords", (int)sort->has_texcoords,
+        "has_colors", (int)sort->has_colors, "has_fine_colors", (int)sort->has_fine_colors,
+        "has_material_colors", (int)sort->has_material_colors, "unused_texcoords",
+        (int)sort->unused_texcoords, "double_sided", (int)sort->double_sided, "uses_textures",
+        (int)sort->uses_textures, "outer_texture",
         cli_json_text(sort->outer_texture[0] ? sort->outer_texture : NULL), "kept_channels",
         names_json(sort->kept_channels), "unkept_channels", names_json(sort->unkept_channels),
         CLI_VALUE(sort, seconds_read), CLI_VALUE(sort, seconds_sort));

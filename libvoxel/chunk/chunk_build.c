@@ -37,13 +37,13 @@ uint64_t vox_chunk_builder_bytes(uint32_t attributes)
 }
 
 int vox_chunk_builder_init(struct chunk_builder *b, const struct scan *scan,
-                           const struct tuple_layout *layout, used_word *used)
+                           const struct tuple_layout *layout)
 {
     const char *what = "building chunks";
     const uint32_t attributes = scan->attributes;
     uint64_t bound = fmt_tris_encoded_bound(scan_stored_attributes(scan), FMT_TRIS_CHUNK_TRIANGLES,
                                             MAX_VERTICES);
-    *b = (struct chunk_builder){.ctx = scan->ctx, .scan = scan, .layout = layout, .used = used};
+    *b = (struct chunk_builder){.ctx = scan->ctx, .scan = scan, .layout = layout};
     BSQ_PASS(bsq_alloc(b->ctx, what, MAX_VERTICES, 12, &b->positions));
     BSQ_PASS(bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, 12, &b->triangles));
     BSQ_PASS(bsq_alloc(b->ctx, what, (uint64_t)1 << MAX_TABLE_BITS, 4, &b->table));
@@ -227,8 +227,6 @@ static void number_corners(struct chunk_builder *b, const uint8_t *tuple, uint32
     for (uint32_t k = 0; k < 3; k++) {
         if (known >> k & 1)
             continue;
-        if (b->used)
-            used_mark(b->used, tuple_vertex_index(b->layout, tuple + k * bytes));
         /* A corner without a normal gets its triangle's, so the cache cannot know its vertex. */
         bool own = b->normals && corners[k].normal == SCAN_NO_NORMAL;
         if (own)
@@ -355,8 +353,6 @@ static void number_pending(struct chunk_builder *b, struct pending_corners *pend
     }
     for (uint32_t i = 0; i < pending_count; i++) {
         const uint32_t index = pending->index[i];
-        if (b->used)
-            used_mark(b->used, index);
         uint32_t number = number_position(b, stream_at(&positions, index, 12), pending->hash[i]);
         uint64_t *place = plain_place(b->plain, index);
         if (*place == ((uint64_t)(PENDING_FLAG | i) << 32 | index))

@@ -18,7 +18,6 @@ struct chunk_builder {
     struct bsq_ctx *ctx;
     const struct scan *scan;
     const struct tuple_layout *layout;
-    used_word *used; /* bits of vertices in use to set, or NULL */
     float (*positions)[3];
     uint32_t *normals;
     float (*texcoords)[2];
@@ -40,7 +39,7 @@ struct chunk_builder {
 uint64_t vox_chunk_builder_bytes(uint32_t attributes);
 /* Initialises a builder. Free it with vox_chunk_builder_free(), also after failure. */
 int vox_chunk_builder_init(struct chunk_builder *builder, const struct scan *scan,
-                           const struct tuple_layout *layout, used_word *used);
+                           const struct tuple_layout *layout);
 void vox_chunk_builder_free(struct chunk_builder *builder);
 
 /* Builds and encodes a chunk of entries[0 .. count). Vertices are numbered in the order of first

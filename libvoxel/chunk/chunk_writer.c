@@ -102,8 +102,8 @@ static int chunks_allocate(struct batches *b)
     BSQ_PASS(vox_batch_open(&b->batch, b->scan, b->partition, b->capacity));
     BSQ_PASS(BSQ_CALLOC(b->ctx, "sorting", b->slot_count, &b->slots));
     for (unsigned i = 0; i < b->slot_count; i++)
-        BSQ_PASS(vox_chunk_builder_init(&b->slots[i].builder, b->batch.scan, &b->partition->layout,
-                                        b->batch.used));
+        BSQ_PASS(
+            vox_chunk_builder_init(&b->slots[i].builder, b->batch.scan, &b->partition->layout));
     return 0;
 }
 

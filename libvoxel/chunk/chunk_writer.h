@@ -12,8 +12,8 @@ struct batches_report {
     uint64_t degenerate; /* left out because they have no area */
 };
 
-/* Sorts all triangles, appends their chunks to the writer and marks vertices in partition->used.
- * beside: output path, next to which temporary files may be. */
+/* Sorts all triangles, and appends their chunks to the writer. beside: output path, next to which
+ * temporary files may be. */
 int vox_write_chunks(const struct scan *scan, const struct partition *partition, const char *beside,
                      struct fmt_tris_writer *writer, struct batches_report *report);
 

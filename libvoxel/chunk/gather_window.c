@@ -22,12 +22,12 @@ static bool is_active(const struct scan *scan, enum fmt_mesh_kind kind)
 
 static uint64_t range_count(const struct gather_kind *kind)
 {
-    return used_words(kind->count) / GATHER_RANGE_WORDS + 1;
+    return gather_words(kind->count) / GATHER_RANGE_WORDS + 1;
 }
 
 static uint64_t range_end(const struct gather_kind *kind, uint64_t range)
 {
-    const uint64_t end = (range + 1) * GATHER_RANGE_WORDS, words = used_words(kind->count);
+    const uint64_t end = (range + 1) * GATHER_RANGE_WORDS, words = gather_words(kind->count);
     return end < words ? end : words;
 }
 
@@ -43,8 +43,8 @@ uint64_t vox_gather_bytes(const struct scan *scan, unsigned threads)
     uint64_t bytes = threads * BUFFER_BYTES;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         if (is_active(scan, kind))
-            bytes += used_words(scan_count(scan, scan_stream_of(kind))) *
-                     (sizeof(used_word) + sizeof(uint32_t) + 1); /* 1: more than ranges take */
+            bytes += gather_words(scan_count(scan, scan_stream_of(kind))) *
+                     (sizeof(gather_word) + sizeof(uint32_t) + 1); /* 1: more than ranges take */
     return bytes;
 }
 
@@ -76,8 +76,8 @@ static int open_kind(struct gather_window *w, enum fmt_mesh_kind number)
     kind->count = scan_count(w->scan, scan_stream_of(number));
     if (!kind->active)
         return 0;
-    BSQ_PASS(BSQ_CALLOC(w->ctx, "sorting", used_words(kind->count), &kind->marks));
-    BSQ_PASS(BSQ_ALLOC(w->ctx, "sorting", used_words(kind->count), &kind->ranks));
+    BSQ_PASS(BSQ_CALLOC(w->ctx, "sorting", gather_words(kind->count), &kind->marks));
+    BSQ_PASS(BSQ_ALLOC(w->ctx, "sorting", gather_words(kind->count), &kind->ranks));
     BSQ_PASS(BSQ_ALLOC(w->ctx, "sorting", range_count(kind), &kind->range_ranks));
     return BSQ_CALLOC(w->ctx, "sorting", range_count(kind), &kind->ranges);
 }
@@ -129,7 +129,7 @@ void vox_gather_clear(struct gather_window *w)
 
 static inline void window_mark(const struct gather_kind *kind, uint64_t index)
 {
-    used_word *word = &kind->marks[index / 64];
+    gather_word *word = &kind->marks[index / 64];
     const uint64_t bit = (uint64_t)1 << index % 64;
     if (atomic_load_explicit(word, memory_order_relaxed) & bit)
         return;
@@ -176,8 +176,8 @@ void vox_gather_mark(struct gather_window *w, const uint8_t *tuples, uint64_t co
     }
 }
 
-/* Computes the ranks of marked elements. Adds the marks to `used` unless it is NULL. */
-static void rank(struct gather_kind *kind, used_word *used)
+/* Computes the ranks of marked elements. */
+static void rank(struct gather_kind *kind)
 {
     uint32_t before = 0;
     for (uint64_t range = 0; range < range_count(kind); range++) {
@@ -187,8 +187,6 @@ static void rank(struct gather_kind *kind, used_word *used)
             uint64_t marks = atomic_load_explicit(&kind->marks[i], memory_order_relaxed);
             kind->ranks[i] = before;
             before += (uint32_t)__builtin_popcountll(marks);
-            if (marks && used)
-                atomic_fetch_or_explicit(&used[i], marks, memory_order_relaxed);
         }
     }
     kind->marked = before;
@@ -250,7 +248,7 @@ static int fetch_range(void *arg, uint64_t number, unsigned worker)
     const struct attribute_stream *stream = &w->scan->streams[fetch->stream];
     const uint32_t bytes = stream->element_bytes;
     uint8_t *buffer = w->buffers + worker * BUFFER_BYTES;
-    const uint64_t words = used_words(kind->count), end = range_end(kind, number);
+    const uint64_t words = gather_words(kind->count), end = range_end(kind, number);
     if (!range_has_marks(kind, number))
         return 0;
     for (uint64_t word = number * GATHER_RANGE_WORDS; word < end; word++) {
@@ -277,11 +275,11 @@ static int fetch_stream(struct gather_window *w, enum scan_stream number)
     return bsq_parallel_for(w->ctx, range_count(kind), fetch_range, &fetch);
 }
 
-int vox_gather_fetch(struct gather_window *w, used_word *used)
+int vox_gather_fetch(struct gather_window *w)
 {
     for (int i = 0; i < FMT_MESH_KIND_COUNT; i++)
         if (w->kinds[i].active)
-            rank(&w->kinds[i], i == FMT_MESH_VERTEX ? used : NULL);
+            rank(&w->kinds[i]);
     for (int i = 0; i < SCAN_STREAM_COUNT; i++)
         if (w->elements[i])
             BSQ_PASS(fetch_stream(w, i));

@@ -8,17 +8,26 @@
 #ifndef VOX_CHUNK_GATHER_WINDOW_H
 #define VOX_CHUNK_GATHER_WINDOW_H
 
+#include <stdatomic.h>
+
 #include "libvoxel/partition/partition.h"
 
 /* Words of marks that are cleared, ranked and read together, if they have marks at all: a batch
  * must not cost a pass over the marks of the whole scan. */
 #define GATHER_RANGE_WORDS 256u
 
+typedef atomic_uint_least64_t gather_word;
+
+static inline uint64_t gather_words(uint64_t elements)
+{
+    return elements / 64 + 1;
+}
+
 /* Attribute streams of one kind of index. */
 struct gather_kind {
-    bool active;      /* one of them is in a file */
-    uint64_t count;   /* elements in each stream */
-    used_word *marks; /* a bit for each element: the batch refers to it */
+    bool active;        /* one of them is in a file */
+    uint64_t count;     /* elements in each stream */
+    gather_word *marks; /* a bit for each element: the batch refers to it */
     uint32_t
         *ranks; /* for each word of marks in a range with marks, the marked elements before it */
     uint32_t *range_ranks; /* for each range, the marked elements before it */
@@ -51,9 +60,8 @@ void vox_gather_close(struct gather_window *window);
 void vox_gather_clear(struct gather_window *window);
 /* Marks the elements that the tuples' corners refer to. From any thread. */
 void vox_gather_mark(struct gather_window *window, const uint8_t *tuples, uint64_t count);
-/* Reads the marked elements into the view, on all threads. Marks the vertices in `used` too, unless
- * it is NULL. */
-int vox_gather_fetch(struct gather_window *window, used_word *used);
+/* Reads the marked elements into the view, on all threads. */
+int vox_gather_fetch(struct gather_window *window);
 /* Replaces the scan's indices in tuples by the view's. The elements must be marked. From any
  * thread, for different tuples. */
 void vox_gather_number(const struct gather_window *window, uint8_t *tuples, uint64_t count);

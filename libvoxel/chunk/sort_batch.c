@@ -41,7 +41,6 @@ static int open_window(struct batch *b)
 {
     int status = vox_gather_open(&b->window, b->scan, &b->partition->layout, b->capacity);
     b->scan = &b->window.view;
-    b->used = b->window.kinds[FMT_MESH_VERTEX].active ? NULL : b->used;
     return status;
 }
 
@@ -63,7 +62,6 @@ int vox_batch_open(struct batch *b, const struct scan *scan, const struct partit
     *b = (struct batch){.ctx = scan->ctx,
                         .scan = scan,
                         .partition = partition,
-                        .used = partition->used,
                         .gathered = partition->layout.gathered,
                         .capacity = capacity};
     BSQ_PASS(b->gathered ? open_window(b) : 0);
@@ -116,13 +114,6 @@ static inline bool area_is_zero(const float *a, const float *b, const float *c)
     return u[1] * v[2] == u[2] * v[1] && u[2] * v[0] == u[0] * v[2] && u[0] * v[1] == u[1] * v[0];
 }
 
-static void mark_tuple(const struct batch *b, const uint8_t *tuple)
-{
-    const struct tuple_layout *layout = &b->partition->layout;
-    for (uint32_t k = 0; b->used && k < 3; k++)
-        used_mark(b->used, tuple_vertex_index(layout, tuple + k * layout->corner_bytes));
-}
-
 /* Makes entries for the tuples with an area and returns their count. Inlined, so that widths and
  * offsets of a constant layout are constants. */
 static inline __attribute__((always_inline)) uint32_t
@@ -139,9 +130,7 @@ batch_make_entries(const struct batch *b, const struct tuple_layout *layout, con
         for (uint32_t k = 0; k < 3; k++)
             p[k] = stream_at(&positions,
                              tuple_vertex_index(layout, tuple + k * layout->corner_bytes), 12);
-        if (area_is_zero(p[0], p[1], p[2]))
-            mark_tuple(b, tuple);
-        else
+        if (!area_is_zero(p[0], p[1], p[2]))
             entries[kept++] = (struct entry){.key = morton_point_key(&cube, p[0]),
                                              .tuple = (uint32_t)(first + i)};
     }
@@ -339,7 +328,7 @@ static int sort_gathered(struct batch *b, uint64_t carried)
     vox_gather_clear(&b->window);
     vox_gather_mark(&b->window, b->tuples, carried);
     BSQ_PASS(bsq_parallel_for(b->ctx, b->slice_count, read_slice, b));
-    BSQ_PASS(vox_gather_fetch(&b->window, b->partition->used));
+    BSQ_PASS(vox_gather_fetch(&b->window));
     vox_gather_number(&b->window, b->tuples, carried);
     return bsq_parallel_for(b->ctx, b->slice_count, sort_fetched, b);
 }
@@ -411,7 +400,7 @@ int vox_batch_read(struct batch *b, uint64_t left, uint64_t most, uint64_t *coun
         return 0;
     vox_gather_clear(&b->window);
     vox_gather_mark(&b->window, tuples, *count);
-    return vox_gather_fetch(&b->window, NULL);
+    return vox_gather_fetch(&b->window);
 }
 
 uint64_t vox_batch_key(const struct batch *b, const uint8_t *tuple)

@@ -35,7 +35,6 @@ struct batch {
     struct bsq_ctx *ctx;
     const struct scan *scan; /* or the window's view of it */
     const struct partition *partition;
-    used_word *used;     /* bits of vertices in use to set, or NULL if the window sets them */
     uint64_t count;      /* triangles; after sorting, entries */
     uint64_t degenerate; /* triangles of all batches that were left out */
     uint8_t *tuples;

@@ -39,49 +39,10 @@ struct reading {
 
 /* ---- the partition ---- */
 
-void vox_partition_free(const struct scan *scan, struct partition *partition)
+void vox_partition_free(struct partition *partition)
 {
     bsq_spill_free(&partition->buckets);
-    bsq_free(scan->ctx, partition->used);
     memset(partition, 0, sizeof *partition);
-}
-
-uint64_t vox_partition_unused(const struct scan *scan, const struct partition *partition)
-{
-    uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
-    return vertices - used_count(partition->used, vertices);
-}
-
-/* Counts the vertices of a file that faces use and that lack a colour. */
-static uint64_t count_colorless(const struct scan *scan, const struct partition *partition,
-                                uint64_t file)
-{
-    const uint64_t begin = file > 0 ? scan->files[file - 1].ends[FMT_MESH_VERTEX] : 0;
-    const uint64_t all = scan->missing_colors.words * 64;
-    uint64_t end = scan->files[file].ends[FMT_MESH_VERTEX], count = 0;
-    end = end < all ? end : all;
-    for (uint64_t v = begin; v < end; v++)
-        count += scan_is_missing(&scan->missing_colors, v) && used_is(partition->used, v);
-    return count;
-}
-
-int vox_partition_warn_colorless(const struct scan *scan, const struct partition *partition)
-{
-    uint64_t count = 0, first = 0; /* vertices; a file */
-    for (uint64_t i = 0; scan->missing_colors.words > 0 && i < scan->file_count; i++) {
-        if (!scan->files[i].has_colors || !scan->files[i].has_material_colors)
-            continue;
-        const uint64_t own = count_colorless(scan, partition, i);
-        first = count > 0 ? first : i;
-        count += own;
-    }
-    return count == 0
-               ? 0
-               : bsq_warn_loss(scan->ctx,
-                               "%s: vertices without a colour: %" PRIu64
-                               "; they are white, and colours of materials are not used, because "
-                               "other vertices have colours",
-                               scan->paths[first], count);
 }
 
 /* ---- memory ---- */
@@ -140,7 +101,7 @@ static int partition_divide_memory(struct reading *r, uint64_t *pages)
         r->used_before + vox_scan_stream_memory(scan) + vox_scan_missing_memory(scan);
     const uint64_t limit = bsq_memory_limit(scan->ctx), unused = limit > used ? limit - used : 0;
     const uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
-    const uint64_t others = limits->reserve_bytes + r->slot_count * BLOCK_BYTES + vertices / 8;
+    const uint64_t others = limits->reserve_bytes + r->slot_count * BLOCK_BYTES;
     const uint64_t left = unused > others ? unused - others : 0;
     uint64_t batches = unused / 3;
     batches = batches < 24 * MIB ? 24 * MIB : batches > 128 * MIB ? 128 * MIB : batches;
@@ -168,7 +129,6 @@ static int make_buckets(struct reading *r, uint64_t page_memory)
 {
     const struct scan *scan = r->scan;
     struct partition *out = r->out;
-    const uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
     /* Every bucket must get a page, and pages must be worth a system call. */
     const uint64_t least = 4096;
     uint64_t page_bytes = scan->limits->page_bytes;
@@ -181,9 +141,8 @@ static int make_buckets(struct reading *r, uint64_t page_memory)
     if (r->spilled && out->levels < r->vertex_buckets.levels)
         vox_vertex_buckets_coarsen(scan, &r->vertex_buckets, out->levels);
     out->vertices_lack_order = r->spilled && !r->vertex_buckets.have_order;
-    BSQ_PASS(bsq_spill_init(&out->buckets, scan->ctx, "sorted tuples", r->beside,
-                            1u << 3 * out->levels, used, page_bytes, page_memory));
-    return BSQ_CALLOC(scan->ctx, "vertices in use", used_words(vertices), &out->used);
+    return bsq_spill_init(&out->buckets, scan->ctx, "sorted tuples", r->beside,
+                          1u << 3 * out->levels, used, page_bytes, page_memory);
 }
 
 /* ---- steps of the reader ---- */

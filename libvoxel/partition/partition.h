@@ -8,42 +8,8 @@
 #ifndef VOX_PARTITION_PARTITION_H
 #define VOX_PARTITION_PARTITION_H
 
-#include <stdatomic.h>
-
 #include "libvoxel/partition/morton.h"
 #include "libvoxel/partition/tuple_runs.h"
-
-/* ---- vertices in use: a bit for each vertex that a face refers to ---- */
-
-typedef atomic_uint_least64_t used_word;
-
-static inline uint64_t used_words(uint64_t vertices)
-{
-    return vertices / 64 + 1;
-}
-
-/* Marks a vertex as used. May be called from any thread. */
-static inline void used_mark(used_word *used, uint64_t vertex)
-{
-    used_word *word = &used[vertex / 64];
-    uint64_t bit = (uint64_t)1 << vertex % 64;
-    if (!(atomic_load_explicit(word, memory_order_relaxed) & bit))
-        atomic_fetch_or_explicit(word, bit, memory_order_relaxed);
-}
-
-static inline bool used_is(const used_word *used, uint64_t vertex)
-{
-    return atomic_load_explicit(&used[vertex / 64], memory_order_relaxed) >> vertex % 64 & 1;
-}
-
-static inline uint64_t used_count(const used_word *used, uint64_t vertices)
-{
-    uint64_t count = 0;
-    for (uint64_t i = 0; i < used_words(vertices); i++)
-        count +=
-            (uint64_t)__builtin_popcountll(atomic_load_explicit(&used[i], memory_order_relaxed));
-    return count;
-}
 
 /* ---- the partition ---- */
 
@@ -55,7 +21,6 @@ struct partition {
     uint64_t triangles;       /* in the buckets, including those without area */
     bool vertices_lack_order; /* neighbours in the file are not neighbours in space; only known if
                                  positions are in a file */
-    used_word *used;          /* all clear: whoever reads the tuples marks them */
 };
 
 enum partition_passes {
@@ -70,13 +35,7 @@ enum partition_passes {
  * memory is too small for a scan of this size or its polygons. */
 int vox_partition_read(struct scan *scan, struct fmt_mesh_reader *reader, const char *beside,
                        enum partition_passes passes, struct partition *out);
-void vox_partition_free(const struct scan *scan, struct partition *partition);
-
-/* Warns if faces use vertices without a colour in a file with other, coloured vertices, and colours
- * of materials are lost by that. Called after `used` has been marked. */
-int vox_partition_warn_colorless(const struct scan *scan, const struct partition *partition);
-/* Returns the number of vertices that no face refers to, after `used` has been marked. */
-uint64_t vox_partition_unused(const struct scan *scan, const struct partition *partition);
+void vox_partition_free(struct partition *partition);
 
 /* ---- disk ---- */
 

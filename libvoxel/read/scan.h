@@ -52,6 +52,7 @@ struct scan_file {
     uint64_t bytes;                             /* unpacked */
     bool has_colors;                            /* of vertices, in their own lines */
     bool has_faces, has_normals, has_texcoords; /* some corner has one */
+    uint64_t colorless_faces;                   /* with a vertex without a colour */
     bool has_material_colors; /* faces use a material with a colour, but without a texture; set by
                                  vox_scan_find_materials() */
     enum scan_paint paint;    /* late colours */
@@ -74,6 +75,7 @@ struct scan_face_check {
     struct fmt_mesh_batch faces; /* the batch, without faces and indices that name nothing */
     uint32_t max_size;           /* corners of the largest face, at least 3 */
     bool lacks_texcoord, has_normals, has_texcoords;
+    uint64_t colorless;              /* faces with a vertex without a colour */
     struct scan_bad_index bad_index; /* the first one of a vertex */
     /* By kind: faces left out for lack of a position, and corners that refer to a texture
      * coordinate or normal that the file does not have. */
@@ -231,6 +233,9 @@ const char *vox_scan_find_texture(const struct scan *scan, bool in_tiles);
 /* Warns of files without faces, and of attributes that some files have and others lack, in a scan
  * of several files. Called after vox_scan_find_materials(). */
 int vox_scan_compare_files(struct scan *scan, const char *texture_path);
+/* Warns of faces at vertices without a colour in a file with other, coloured vertices, if colours
+ * of materials are lost by that. Called after vox_scan_find_materials(). */
+int vox_scan_warn_colorless(const struct scan *scan);
 /* Returns the number of elements in a file and in all earlier ones, of a kind of index. */
 static inline uint64_t scan_file_end(const struct scan *scan, uint32_t file,
                                      enum fmt_mesh_kind kind)

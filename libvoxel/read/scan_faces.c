@@ -9,6 +9,7 @@
 #include "base/context.h"
 #include "libvoxel/read/scan.h"
 
+#include <inttypes.h>
 #include <string.h>
 
 /* ---- what refers to nothing ---- */
@@ -100,6 +101,19 @@ static bool any_missing(const struct scan *scan, enum fmt_mesh_kind kind, const 
     return any;
 }
 
+/* Counts the faces with a vertex that has no colour. */
+static uint64_t count_colorless(const struct scan *scan, const struct fmt_mesh_batch *batch)
+{
+    uint64_t count = 0, corner = 0;
+    for (uint64_t f = 0; scan->missing_colors.words > 0 && f < batch->face_count; f++) {
+        bool any = false;
+        for (uint32_t k = 0; k < batch->face_sizes[f]; k++)
+            any |= scan_is_missing(&scan->missing_colors, batch->corner_vertices[corner++]);
+        count += any;
+    }
+    return count;
+}
+
 /* Returns whether some index of this kind names nothing. */
 static bool any_lost(const struct scan *scan, uint32_t file, enum fmt_mesh_kind kind,
                      const uint64_t *indices, uint64_t count)
@@ -126,6 +140,7 @@ void vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_batch *
         clean_faces(scan, out);
     const struct fmt_mesh_batch *faces = &out->faces;
     out->max_size = largest_face(faces);
+    out->colorless = count_colorless(scan, faces);
     out->lacks_texcoord = !texcoords || any_none(texcoords, faces->corner_count);
     out->has_texcoords = fmt_mesh_any_index(texcoords, faces->corner_count);
     out->has_normals = fmt_mesh_any_index(normals, faces->corner_count);
@@ -186,6 +201,7 @@ static int note_file_faces(struct scan *scan, const struct scan_face_check *chec
     /* A file with faces has elements too: otherwise all its indices are out of range. */
     struct scan_file *file = &scan->files[batch->file];
     file->has_faces = true;
+    file->colorless_faces += check->colorless;
     file->has_normals |= check->has_normals;
     file->has_texcoords |= check->has_texcoords;
     const struct fmt_mesh_material_change *changes = batch->material_changes;
@@ -284,6 +300,24 @@ static int report_faceless(const struct scan *scan)
     BSQ_PASS(warn(scan, &bytes, true, "an empty file, it adds nothing to the scan"));
     BSQ_PASS(warn(scan, &points, true, "no faces, only vertices; it adds nothing to the scan"));
     return warn(scan, &faces, true, "no faces; it adds nothing to the scan");
+}
+
+int vox_scan_warn_colorless(const struct scan *scan)
+{
+    uint64_t count = 0, first = 0; /* faces; a file */
+    for (uint64_t i = 0; i < scan->file_count; i++) {
+        if (!scan->files[i].has_colors || !scan->files[i].has_material_colors)
+            continue;
+        first = count > 0 ? first : i;
+        count += scan->files[i].colorless_faces;
+    }
+    return count == 0
+               ? 0
+               : bsq_warn_loss(scan->ctx,
+                               "%s: faces at vertices without a colour: %" PRIu64
+                               "; these are white, and colours of materials are not used, because "
+                               "other vertices have colours",
+                               scan->paths[first], count);
 }
 
 int vox_scan_compare_files(struct scan *scan, const char *texture_path)

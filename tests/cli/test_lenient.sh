@@ -178,19 +178,19 @@ rm scan.mtl
 
 # A few vertices with a colour hide the colours of materials, also if a block or a file without any
 # comes before them.
-lacks='they are white, and colours of materials are not used, because other vertices have colours'
+lacks='these are white, and colours of materials are not used, because other vertices have colours'
 printf 'newmtl b\nKd 1 0 0\n' >scan.mtl
 faces='usemtl b\nf 1 2 3\n'
 printf "${points}v 5 5 5\nv 1 1 1 1 0 0\n$faces" >hidden.obj
-warns "hidden.obj: vertices without a colour: 3; $lacks" hidden.obj
+warns "hidden.obj: faces at vertices without a colour: 1; $lacks" hidden.obj
 printf "mtllib scan.mtl\nv 0 0 0 1 0 0\nv 1 0 0\nv 0 1 0 0 1 0\n$faces" >middle.obj
-warns "middle.obj: vertices without a colour: 1; $lacks" middle.obj
+warns "middle.obj: faces at vertices without a colour: 1; $lacks" middle.obj
 printf 'v 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 1 0 1 0 0\nf 1 2 3\n' >colored.obj
-warns "hidden.obj: vertices without a colour: 3; $lacks" colored.obj hidden.obj
-warns "hidden.obj: vertices without a colour: 4; $lacks" hidden.obj colored.obj middle.obj
+warns "hidden.obj: faces at vertices without a colour: 1; $lacks" colored.obj hidden.obj
+warns "hidden.obj: faces at vertices without a colour: 2; $lacks" hidden.obj colored.obj middle.obj
 { printf "$points" && awk 'BEGIN { for (i = 0; i < 90000; i++) print "v 0.5 0.5", i / 9e4 }' &&
     printf "v 1 1 1 1 0 0\n$faces" && echo f 4 5 80000; } >blocks.obj
-warns "blocks.obj: vertices without a colour: 6; $lacks" blocks.obj
+warns "blocks.obj: faces at vertices without a colour: 2; $lacks" blocks.obj
 # Nothing is lost if no face uses such a vertex, or if materials have no colours.
 printf "mtllib scan.mtl\n$(grep '^v' colored.obj)\nv 5 5 5\n$faces" >all.obj
 { grep '^v' hidden.obj; echo 'f 1 2 3'; } >plain.obj

@@ -235,8 +235,7 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
 
 
 #: Members of a report on a sorted scan that count what it lost.
-LOSSES = ("degenerate_triangles", "short_faces", "broken_faces", "lost_corners", "unused_vertices",
-          "skipped_lines")
+LOSSES = ("degenerate_triangles", "short_faces", "broken_faces", "lost_corners", "skipped_lines")
 
 
 #: What simplify() counts of what it left out, by the names in the certificate.
