@@ -188,7 +188,7 @@ TEST(test_errors)
         obj_expect_text_error(cases[i].text, cases[i].message);
     static const char zero[] = "v 0 0 0\ng a\0b\nv 1 2 3\n";
     obj_expect_error(zero, sizeof zero - 1, "bad.obj:2: not a text file (zero byte)");
-    static const char binary[] = "\x89ABC\r\n\x1a\n\0\0\0\rIHDR";
+    static const char binary[] = "\211ABC\r\n\x1a\n\0\0\0\rIHDR";
     obj_expect_error(binary, sizeof binary - 1, "bad.obj:3: not a text file (zero byte)");
     static const char utf16[] = "v\0 \0\x31\0";
     obj_expect_error(utf16, sizeof utf16 - 1, "bad.obj:1: not a text file (zero byte)");
