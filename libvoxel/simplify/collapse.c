@@ -27,6 +27,9 @@ static const double length_share = 1e-13;
 /* Weight of the sixth power of a drift, beside squared volumes: it lets most collapses go in the
  * order of their volumes, and keeps back those that would go far, such as tips of thin parts. */
 static const double drift_weight = 100;
+/* Weight of the fourth power of a drift and the area, and by how much a drift's square in parts of
+ * the area raises a squared volume: between the two, they keep back what goes far for its size. */
+static const double area_weight = 2, volume_weight = 50;
 /* Weight of the cost of the drift that dropping a piece leads to: the surface is nearer than its
  * vertices are. */
 static const double piece_weight = 0.1;
@@ -75,6 +78,7 @@ struct collapse {
 /* What the collapse of an edge would do. */
 struct result {
     double cost;
+    double area_square; /* sum of the squares of twice the triangles' areas */
     float position[3];
 };
 
@@ -266,7 +270,8 @@ static bool evaluate(struct collapse *c, uint32_t u, uint32_t v, struct result *
     for (int k = 0; k < 3; k++)
         x[k] = (double)out->position[k] - middle[k];
     out->cost = error_of_place(&q, x);
-    out->cost += length_share * (q.a[0] + q.a[3] + q.a[5]) * square;
+    out->area_square = q.a[0] + q.a[3] + q.a[5];
+    out->cost += length_share * out->area_square * square;
     out->cost *= c->unit;
     return isfinite(out->cost) && isfinite(out->position[0] + out->position[1] + out->position[2]);
 }
@@ -437,6 +442,15 @@ static double drift_cost(const struct collapse *c, float drift)
     return c->unit * drift_weight * square * square * square;
 }
 
+/* Returns the cost of a collapse that leads to a drift. */
+static double cost_with_drift(const struct collapse *c, const struct result *result, float drift)
+{
+    const double area = sqrt(result->area_square), square = (double)drift * (double)drift;
+    const double share = area > 0 ? square / area : 0;
+    return result->cost * (1 + volume_weight * share) +
+           c->unit * area_weight * area * square * square + drift_cost(c, drift);
+}
+
 /* Returns the squared length of the way between two vertices. */
 static double edge_square(const struct collapse *c, uint32_t u, uint32_t v)
 {
@@ -555,7 +569,7 @@ static int collapse_next(struct collapse *c)
     if (!is_current(c, &candidate) || !evaluate(c, u, v, &result))
         return 0;
     const float drift = find_drift(c, u, v, result.position);
-    result.cost += drift_cost(c, drift);
+    result.cost = cost_with_drift(c, &result, drift);
     if (put_back(c, &candidate, result.cost))
         return 0;
     if (!vox_rings_keep_topology(r, u, v)) {

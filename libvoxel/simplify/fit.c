@@ -23,17 +23,22 @@ static const double fit_pull = 3e-3, border_pull = 0.3;
  * distance is below this share of its area, where drifts are rounding. */
 static const double rounding_share = 1e-6;
 /* A vertex counts as much as all points around it if its squared distance from the old mesh is this
- * many times the mean square of all points' distances; a nearer one counts far less. */
+ * many times the mean square of all points' distances; a nearer one counts far less. So does the
+ * farthest point whose foot is at the vertex, as at a corner that was cut off. */
 static const double far_factor = 100;
-/* Most that a vertex counts more than the points around it. */
-static const double most_weight = 1e4;
+/* Most that a vertex counts more than the points around it; and such a point. */
+static const double most_weight = 1e4, most_weight_point = 1;
+/* Least share of a vertex in a foot that is at it. */
+static const double at_vertex = 0.9;
 
 /* What points say about where a vertex should go. */
 struct advice {
-    double a[6], b[3]; /* of the quadric x A x - 2 b x, with x from the vertex */
-    double squares;    /* of distances, weighted */
-    double way[3];     /* from the closest point of the old mesh, as far as it was found */
-    double square;     /* of that */
+    double a[6], b[3];   /* of the quadric x A x - 2 b x, with x from the vertex */
+    double squares;      /* of distances, weighted */
+    double way[3];       /* from the closest point of the old mesh, as far as it was found */
+    double square;       /* of that */
+    double point_way[3]; /* to the farthest point whose foot is at the vertex */
+    double point_square; /* of the vertex's share of that */
 };
 
 struct fit {
@@ -174,8 +179,14 @@ static void advise_corners(struct fit *f, const struct foot *foot, double weight
     const double along = bsq_dotd(n, foot->way);
     for (int i = 0; i < 3; i++) {
         const double w = weight * foot->shares[i];
-        add_advice(&f->advice[v[i]], n, along, w);
-        f->advice[v[i]].squares += w * along * along;
+        struct advice *advice = &f->advice[v[i]];
+        add_advice(advice, n, along, w);
+        advice->squares += w * along * along;
+        const double square = foot->shares[i] * foot->shares[i] * foot->square;
+        if (foot->shares[i] > at_vertex && square > advice->point_square) {
+            advice->point_square = square;
+            memcpy(advice->point_way, foot->way, sizeof advice->point_way);
+        }
     }
 }
 
@@ -265,6 +276,17 @@ static int take_advice(struct fit *f)
     return 0;
 }
 
+/* Adds what is far away, beside points of this weight. square: of a way, as far as it counts; that
+ * of the way itself goes along it, or against it (sign -1). */
+static void add_far(const struct fit *f, struct advice *advice, double weight, const double way[3],
+                    double sign, double square, double most)
+{
+    const double ratio = square / (far_factor * f->squares / f->weight), all = bsq_dotd(way, way);
+    if (square > 0 && square < INFINITY)
+        add_advice(advice, way, sign * all,
+                   weight * fmin(ratio * ratio, most) * (square / all) / all);
+}
+
 /* Moves a vertex as it was advised, by the distance of the points around it at most, unless that
  * would fold the surface. */
 static void move_vertex(struct fit *f, uint32_t v)
@@ -276,11 +298,8 @@ static void move_vertex(struct fit *f, uint32_t v)
     const double weight = a[0] + a[3] + a[5];
     if ((r->flags[v] & VOX_LOCKED) || !(weight > 0))
         return;
-    if (advice->square > 0 && advice->square < INFINITY) {
-        const double far = far_factor * f->squares / f->weight, ratio = advice->square / far;
-        add_advice(advice, advice->way, -advice->square,
-                   weight * fmin(ratio * ratio, most_weight) / advice->square);
-    }
+    add_far(f, advice, weight, advice->way, -1, advice->square, most_weight);
+    add_far(f, advice, weight, advice->point_way, 1, advice->point_square, most_weight_point);
     const double pull = weight * (r->flags[v] & VOX_BORDER ? border_pull : fit_pull);
     a[0] += pull;
     a[3] += pull;

@@ -175,7 +175,7 @@ TEST(pieces_go_by_their_distance)
     add_tetrahedron(&mesh, 2, 2, 9);
     removed = (struct vox_removed){0};
     collapse(&mesh, false, 120);
-    assert_in_range(mesh.triangle_count, 118, 120);
+    assert_in_range(mesh.triangle_count, 117, 120); /* a piece takes four at once */
     assert_in_range(removed.pieces, COUNT * 4 / 5, COUNT);
     assert_int_equal(removed.triangles, 4 * removed.pieces);
     unsigned above = 0;
