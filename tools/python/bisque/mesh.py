@@ -43,12 +43,16 @@ def parse_amount(name: str, value: Any) -> tuple[float, bool]:
     return number, percent
 
 
+#: The most texels of a side of a map.
+TEXELS_MOST = 65536
+
+
 def parse_texels(size: int | str) -> int:
     """Returns the texels of a side, such as 4096 or "4k". Raises ValueError."""
     match = re.fullmatch(r"([0-9]+)([kK]?)", size.strip()) if isinstance(size, str) else None
     if isinstance(size, str) and not match:
         raise ValueError(f"size: {size!r} is no number of texels such as 4096 or 4k")
-    return check_number("size", int(match[1]) * (1024 if match[2] else 1) if match else size, 1, 65536)
+    return check_number("size", int(match[1]) * (1024 if match[2] else 1) if match else size, 1, TEXELS_MOST)
 
 
 def check_number(name: str, value: Any, least: int, most: int) -> int:

@@ -24,7 +24,7 @@ from .asset import PUBLISHED, check_library, lost_of, older_files, publish, sort
 from .core import Error
 from .cut import Store, Tile, add_skirt, divide, read_level
 from .glb import Glb, Writer, write_plain
-from .mesh import Mesh, check_real, check_triangles, parse_amount, parse_texels
+from .mesh import TEXELS_MOST, Mesh, check_real, check_triangles, parse_amount, parse_texels
 from .place import check_options, place_glb, unit_of
 from .steps import WEIGHTS, Folder, Steps
 from .tileset import check_place, make_page, tileset
@@ -41,6 +41,8 @@ COLUMNS = (("POSITION", 0, 3), ("NORMAL", 3, 6), ("TANGENT", 6, 10), ("TEXCOORD_
 PLAIN = {"images": "png", "geometry": "none"}
 #: Triangles of a level to those of the next coarser one.
 FACTOR = 4
+#: Least memory of a tile that is packed, so that small budgets pack fewer at once: sorting needs as much.
+PACK_BYTES = 72 << 20
 
 
 # ---- steps ----
@@ -71,10 +73,11 @@ def _widest_skirts(tile: Tile, above: tuple[float, ...] = ()) -> Iterator[tuple[
 
 
 def _left(job: dict) -> dict:
-    """Returns a job whose budget leaves out what this process has in memory already."""
+    """Returns a job whose budget leaves out what this process has in memory already, beside mapped files."""
     if not job["memory"]:
         return job
-    own = int(Path("/proc/self/statm").read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    resident, mapped = map(int, Path("/proc/self/statm").read_text("ascii").split()[1:3])
+    own = (resident - mapped) * os.sysconf("SC_PAGE_SIZE")
     return {**job, "memory": max(job["memory"] - own, job["memory"] // 4)}
 
 
@@ -264,9 +267,11 @@ def _bake(steps: Steps, name: str, chunks: str, tiles: list[Tile], obj: Path, wi
         core.bake(chunks, obj, options["maps"], size=options["size"], samples=options["samples"], glb=whole, format="",
                   arrays=False, as_is=True, output_path=str(obj.with_name("<MATERIAL>_<MAP>.png")),
                   progress=steps.report, **_left(job))
-        baked = Glb(whole)
+        baked, left, threads = Glb(whole), _left(job)["memory"], job["threads"] or os.cpu_count()
+        if left:
+            threads = max(1, min(threads, left // PACK_BYTES))
         found = _each(steps, "packing", lambda i: _finish_tile(tiles[i], baked, i, widths[tiles[i].name], files[i],
-                                                               options, job["memory"]), len(tiles), job["threads"])
+                                                               options, left and left // threads), len(tiles), threads)
         whole.unlink()
         return found
 
@@ -346,6 +351,9 @@ def tiles(scan: Any, output: str | os.PathLike, *, tile_triangles: int = 10_000,
     place, share = check_place(place), _parse_part(part)
     if place and levels:
         raise ValueError("place: levels have none")
+    if levels and size << levels - 1 > TEXELS_MOST:
+        raise ValueError(f"size: the finest of {levels} levels would have maps of {size << levels - 1} texels a side, "
+                         f"more than {TEXELS_MOST}")
     paths = [] if core._is_memory(scan) else core._paths(scan)
     for path in [*paths, *([os.fsdecode(texture)] if texture else [])]:
         if output.resolve() in Path(path).resolve().parents:
