@@ -3,9 +3,11 @@ import fcntl
 import hashlib
 import io
 import json
+import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import bisque
@@ -158,6 +160,49 @@ def test_packed_tiles_stay_in_their_boxes_and_errors(made, tmp_path, geometry):
             before[key]["max"] for key in ("from_scan", "from_mesh")) + lost
         assert tile["packed"]["bytes"] < tile["packed"]["bytes_before"]
         assert np.abs(mesh.vertices.min(axis=0) - before["low"]).max() < 1e-4
+
+
+def tree_of(pid):
+    """Yields a process and those that it and its children have started."""
+    yield pid
+    for path in Path(f"/proc/{pid}/task").glob("*/children"):
+        try:
+            children = path.read_text().split()
+        except OSError:  # it has ended
+            continue
+        for child in children:
+            yield from tree_of(child)
+
+
+def anonymous_bytes(pid):
+    """Returns a process's share of anonymous memory, as a child has all of its parent's until it becomes a program."""
+    try:
+        return 1024 * int(re.search(r"Pss_Anon:\s+(\d+)", Path(f"/proc/{pid}/smaps_rollup").read_text())[1])
+    except (OSError, TypeError):  # it has ended
+        return 0
+
+
+def test_all_processes_together_stay_within_memory(tmp_path):
+    """Also where one thread for each tile packs it."""
+    points, faces = sphere(220, True)
+    rows = np.zeros(len(points), [("p", "<f4", 3), ("c", "u1", 3)])
+    rows["p"], rows["c"] = points, color_at(points / np.linalg.norm(points, axis=1)[:, None])
+    corners = np.zeros(len(faces), [("n", "u1"), ("v", "<i4", 3)])
+    corners["n"], corners["v"] = 3, faces
+    properties = "".join(f"property float {name}\n" for name in "xyz") + "".join(
+        f"property uchar {name}\n" for name in ("red", "green", "blue"))
+    (tmp_path / "scan.ply").write_bytes(
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{properties}element face {len(faces)}\n"
+        "property list uchar int vertex_indices\nend_header\n".encode() + rows.tobytes() + corners.tobytes())
+    process = subprocess.Popen(command_of([
+        tmp_path / "scan.ply", "-o", tmp_path / "out", "--tiles", "--tile-triangles", 2000, "--triangles", 30000, "--size",
+        256, "--samples", 1, "--geometry", "meshopt", "--memory", "192M", "--threads", 8]), stdout=subprocess.DEVNULL)
+    most = 0
+    while process.poll() is None:
+        most = max(most, sum(map(anonymous_bytes, tree_of(process.pid))))
+        time.sleep(0.02)
+    assert process.returncode == 0
+    assert 32 << 20 < most <= 192 << 20
 
 
 # ---- errors ----
@@ -544,7 +589,8 @@ def test_places_in_the_west_and_south_are_values(tmp_path):
     (["--part", "plan"], "--part: only with --tiles and --levels"),
     (["--levels", "2", "--place", "1,2,3"], "place: levels have none"),
     (["--levels", "0"], "levels: "),
-    (["--levels", "9", "--triangles", "1000"], "levels: 192 triangles are too few for 9 levels"),
+    (["--levels", "8", "--size", "1024"], "size: the finest of 8 levels would have maps of 131072 texels a side, more than "),
+    (["--levels", "9", "--triangles", "1000", "--size", "64"], "levels: 192 triangles are too few for 9 levels"),
     (["--levels", "2", "--preset", "game"], "--preset: not with --tiles and --levels"),
 ])
 def test_options_of_tiles_need_tiles(tmp_path, words, line):
