@@ -19,7 +19,8 @@ enum {
     LAST_TRIANGLES = 200000,
     LAST_TRIANGLES_LARGE = 4000000,
     WHOLE_TRIANGLES = 5000000,
-    REGION_TRIANGLES = 1 << 20, /* also of what is measured at once */
+    REGION_TRIANGLES = 1 << 20,
+    MEASURED_TRIANGLES = 1 << 19, /* in a region; some 500 bytes each */
     ERROR_TRIANGLES = 1500000,
     ERROR_STEP = 4,
     ERROR_ROUNDS = 16
@@ -136,7 +137,7 @@ static int measure(struct simplifying *s, const struct vox_mesh *mesh, struct vo
     out->vertices = mesh->vertex_count;
     if (s->options->unmeasured)
         return 0;
-    int status = vox_measure(s->ctx, s->file, mesh, NULL, NULL, 0, REGION_TRIANGLES,
+    int status = vox_measure(s->ctx, s->file, mesh, NULL, NULL, 0, MEASURED_TRIANGLES,
                              &out->from_scan, &out->from_mesh);
     s->report->seconds_measure += bsq_seconds_now() - start;
     return status;
@@ -180,7 +181,7 @@ static int mark_triangles(struct simplifying *s, const struct vox_mesh *mesh,
     const double start = bsq_seconds_now();
     struct vox_distances ignored[2];
     BSQ_PASS(BSQ_CALLOC(s->ctx, "marks of triangles", mesh->triangle_count, &marks->triangles));
-    BSQ_PASS(vox_measure(s->ctx, s->file, mesh, marks, NULL, 0, REGION_TRIANGLES, &ignored[0],
+    BSQ_PASS(vox_measure(s->ctx, s->file, mesh, marks, NULL, 0, MEASURED_TRIANGLES, &ignored[0],
                          &ignored[1]));
     *count = 0;
     for (uint32_t t = 0; t < mesh->triangle_count; t++)
@@ -425,7 +426,7 @@ int vox_measure_mesh(struct bsq_ctx *ctx, const char *scan_path, const struct vo
     BSQ_TRY(vox_reduce_chunks(ctx, low, UINT64_MAX, NULL, false, &parts));
     BSQ_TRY(vox_level_join(&parts, &whole));
     move_mesh(&whole, fmt_tris_get_header(low)->origin, fmt_tris_get_header(file)->origin);
-    status = vox_measure(ctx, file, &whole, NULL, boxes, box_count, REGION_TRIANGLES, from_scan,
+    status = vox_measure(ctx, file, &whole, NULL, boxes, box_count, MEASURED_TRIANGLES, from_scan,
                          from_mesh);
 done:
     vox_mesh_free(ctx, &whole);
