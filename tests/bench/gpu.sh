@@ -245,10 +245,13 @@ generate-scan vase-low -o low.obj >&2 && make_scan scan $triangles &&
 say "the first bake, for which a driver may compile the kernel"
 bake "$device" --size 16 --maps all scan.nvdb && echo "The first bake took $(seconds seconds "$device.json") s." && echo
 bakes
-if command -v compute-sanitizer >/dev/null && in_time 30; then
-    echo "compute-sanitizer, all maps 64²: $(compute-sanitizer bisque-bake --progress none --device "$device" --size 64 \
-        --maps all scan.nvdb low.obj -o 'checked_<MAP>.exr' 2>&1 | grep 'ERROR SUMMARY')"
+for scan in scan.nvdb scan.tris; do
+    if ! command -v compute-sanitizer >/dev/null || ! in_time 30; then
+        continue
+    fi
+    echo "compute-sanitizer, all maps 64² of $scan: $(compute-sanitizer bisque-bake --progress none --device "$device" \
+        --size 64 --maps all $scan low.obj -o 'checked_<MAP>.exr' 2>&1 | grep 'ERROR SUMMARY')"
     echo
-fi
+done
 scales
 say "finished"
