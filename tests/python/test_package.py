@@ -389,7 +389,7 @@ def test_asset_ends_when_told_and_shows_json(tmp_path):
     assert job.returncode == 75 and step["stage"] == "sort: reading" and step["total"] == 1000
     done = asset(*given)
     assert json.loads(done.stdout) == json.loads((tmp_path / "vase_asset/asset.json").read_text())
-    steps = [json.loads(line)["done"] for line in done.stderr.splitlines()]
+    steps = [line["done"] for line in map(json.loads, done.stderr.splitlines()) if "warning" not in line]
     assert steps == sorted(steps) and len(steps) > 5
 
 

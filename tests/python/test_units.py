@@ -111,13 +111,13 @@ def test_lengths_have_units(tmp_path):
             parse("error", wrong, 1)
     scan = save(tmp_path / "ball.obj", *sphere(40, True))
     most = {}
-    for error in ("10mm", "5mm"):
+    for error in ("2mm", "0.5mm"):
         done = run_asset(scan, "-o", tmp_path / "a.glb", "--error", error, *SMALL, "--units", "cm")
         level = judge(done, tmp_path / "a.glb")["levels"][0]
         most[error] = level["triangles"]
         limit = float(error[:-2]) / 10  # in centimetres
         assert max(level["distance"][key]["max"] for key in ("from_scan", "from_mesh")) <= limit
-    assert most["10mm"] < most["5mm"]
+    assert most["2mm"] < most["0.5mm"]
 
 
 def test_shares_of_the_scan():
