@@ -281,16 +281,15 @@ done:
 static int produce_region(void *arg, void *slot, uint64_t sequence)
 {
     const struct pass *p = arg;
-    if (sequence < p->count)
-        *(struct region **)slot = &p->regions[sequence];
+    (void)slot;
     return sequence < p->count;
 }
 
 static int collapse_region(void *arg, void *slot, uint64_t sequence, unsigned worker)
 {
     const struct pass *p = arg;
-    struct region *region = *(struct region **)slot;
-    (void)sequence, (void)worker;
+    struct region *region = &p->regions[sequence];
+    (void)slot, (void)worker;
     BSQ_PASS(gather_region(p, region));
     int status = vox_collapse(p->ctx, region->outer + (uint32_t)region->wanted, NULL,
                               region->locked, &region->mesh, &region->removed);
@@ -339,9 +338,9 @@ done:
 static int write_region(void *arg, void *slot, uint64_t sequence)
 {
     struct pass *p = arg;
-    struct region *region = *(struct region **)slot;
+    struct region *region = &p->regions[sequence];
     const uint32_t own = region->mesh.triangle_count - region->outer;
-    (void)sequence;
+    (void)slot;
     int status = write_parts(p->to, &region->mesh, own,
                              p->number == 0 ? (float)sqrt(sqrt(region->removed.cost)) : 1);
     vox_mesh_free(p->ctx, &region->mesh);
@@ -382,7 +381,6 @@ static int run_pass(struct pass *p, uint64_t target, uint64_t limit)
 {
     const struct vox_level *from = p->from;
     struct vox_region *boxes = NULL;
-    struct region **slots = NULL;
     uint64_t most = 0;
     int status = 0;
     BSQ_TRY(vox_divide_level(from, limit, shares_below[p->number], &boxes, &p->count));
@@ -395,13 +393,12 @@ static int run_pass(struct pass *p, uint64_t target, uint64_t limit)
     BSQ_TRY(vox_level_begin(from, from->triangles / PART_TRIANGLES + p->count, false, p->to));
     const unsigned slot_count =
         bsq_workers_within(p->ctx, bsq_threads(p->ctx), most * REGION_BYTES);
-    BSQ_TRY(BSQ_CALLOC(p->ctx, "regions", slot_count, &slots));
+    /* Slots are empty: they only limit how many regions are in memory. */
     const struct bsq_pipeline pipeline = {.produce = produce_region,
                                           .work = collapse_region,
                                           .emit = write_region,
                                           .arg = p,
-                                          .slots = slots,
-                                          .slot_size = sizeof *slots,
+                                          .slots = p->regions,
                                           .slot_count = slot_count};
     bsq_progress_begin(p->ctx, "collapsing edges", "triangles", from->triangles - target);
     status = bsq_pipeline_run(p->ctx, &pipeline);
@@ -411,7 +408,7 @@ done:
         bsq_free(p->ctx, p->regions[i].locked);
         vox_mesh_free(p->ctx, &p->regions[i].mesh);
     }
-    BSQ_FREE(p->ctx, slots, p->regions, boxes);
+    BSQ_FREE(p->ctx, p->regions, boxes);
     return status;
 }
 
