@@ -20,8 +20,8 @@ int bsq_parallel_for(struct bsq_ctx *ctx, uint64_t count,
 int bsq_parallel_on(struct bsq_ctx *ctx, unsigned workers, uint64_t count,
                     int (*fn)(void *arg, uint64_t index, unsigned worker), void *arg);
 
-/* Returns how many workers (or slots) to use, if each needs so many bytes: `most`, or as many as
- * fit into what is left of the budget, but at least 1. */
+/* Returns how many workers or slots the memory budget allows. most: the largest result; bytes: what
+ * each of them needs. The result is at least 1, even if one does not fit. */
 unsigned bsq_workers_within(const struct bsq_ctx *ctx, unsigned most, uint64_t bytes);
 
 /* Does what bsq_parallel_for() does, with fn(arg, begin, end, worker) for ranges of at most `step`

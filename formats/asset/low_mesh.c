@@ -127,21 +127,6 @@ static bool corner_normal(const struct writing *w, uint32_t count, uint32_t corn
     return w->least_cosine <= -1 && square > 1e-12;
 }
 
-/* Makes space for `more` vertices with normals. */
-static int reserve_shaded(struct writing *w, uint32_t more)
-{
-    struct shaded *wider;
-    if (w->shaded_count + (uint64_t)more <= w->shaded_capacity)
-        return 0;
-    const uint64_t capacity = w->shaded_capacity + w->shaded_capacity / 4 + more;
-    BSQ_PASS(BSQ_ALLOC(w->ctx, "writing a mesh", capacity, &wider));
-    memcpy(wider, w->shaded, w->shaded_count * sizeof *wider);
-    bsq_free(w->ctx, w->shaded);
-    w->shaded = wider;
-    w->shaded_capacity = capacity;
-    return 0;
-}
-
 /* Normals of equal sums have equal numbers. */
 static bool is_same_normal(const float a[3], const float b[3])
 {
@@ -153,7 +138,8 @@ static int shade(struct writing *w)
     uint64_t looked = 0; /* at corners, since the last look at an interruption */
     for (uint32_t v = 0; v < w->mesh->vertex_count; v++) {
         const uint32_t first = w->shaded_count, begin = w->starts[v], end = w->starts[v + 1];
-        BSQ_PASS(reserve_shaded(w, end - begin));
+        BSQ_PASS(BSQ_GROW(w->ctx, "writing a mesh", first + (uint64_t)(end - begin), &w->shaded,
+                          &w->shaded_capacity));
         look_around(w, v);
         for (uint32_t i = begin; i < end; i++) {
             struct shaded *entry = &w->shaded[w->shaded_count];
@@ -393,9 +379,9 @@ int fmt_low_mesh_write(struct bsq_ctx *ctx, const char *path, const struct fmt_l
     list_vertex_corners(&w);
     for (uint32_t v = 0; v < mesh->vertex_count; v++)
         most = w.starts[v + 1] - w.starts[v] > most ? w.starts[v + 1] - w.starts[v] : most;
-    w.shaded_capacity = (uint64_t)mesh->vertex_count + most;
     BSQ_TRY(BSQ_ALLOC(ctx, what, most, &w.around));
-    BSQ_TRY(BSQ_ALLOC(ctx, what, w.shaded_capacity, &w.shaded));
+    BSQ_TRY(
+        BSQ_GROW(ctx, what, (uint64_t)mesh->vertex_count + most, &w.shaded, &w.shaded_capacity));
     BSQ_TRY(shade(&w));
     if (strcasecmp(ending_of(path), ".glb") == 0)
         BSQ_TRY(write_glb(&w, path));

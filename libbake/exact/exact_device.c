@@ -8,11 +8,6 @@
 
 #include <string.h>
 
-static uint64_t larger_need(uint64_t a, uint64_t b)
-{
-    return a > b ? a : b;
-}
-
 /* Returns the bytes of the largest chunk in a group of this many chunks. */
 static uint64_t largest_in_group(const struct bake_exact *exact, uint32_t chunks)
 {
@@ -24,9 +19,9 @@ void bake_exact_add_needs(const struct bake_exact *exact, struct bake_scene *sce
     const uint64_t place = largest_in_group(exact, 1);
     if (bk_ray_count(&scene->params) > 0)
         scene->chunk_bytes =
-            larger_need(scene->chunk_bytes, largest_in_group(exact, exact->chunk_count));
-    scene->place_bytes = larger_need(scene->place_bytes, place);
-    scene->wave_bytes = larger_need(scene->wave_bytes, exact_wave_slots(exact) * place);
+            exact_larger(scene->chunk_bytes, largest_in_group(exact, exact->chunk_count));
+    scene->place_bytes = exact_larger(scene->place_bytes, place);
+    scene->wave_bytes = exact_larger(scene->wave_bytes, exact_wave_slots(exact) * place);
 }
 
 void bake_exact_set_device(struct bake_exact *exact, struct bake_device *device,

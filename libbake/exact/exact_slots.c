@@ -15,11 +15,6 @@ struct sizes {
     uint64_t boxes;
 };
 
-static uint64_t slots_larger(uint64_t a, uint64_t b)
-{
-    return a > b ? a : b;
-}
-
 static struct sizes buffer_sizes(const struct bake_exact *exact)
 {
     struct sizes sizes = {0};
@@ -27,9 +22,9 @@ static struct sizes buffer_sizes(const struct bake_exact *exact)
     sizes.chunk = bsq_align_up(fmt_tris_load_size_max(exact->file), BSQ_ALIGNMENT);
     sizes.tree = bsq_align_up(bake_exact_tree_bytes(exact_runs(triangles)), BSQ_ALIGNMENT);
     sizes.boxes = bsq_align_up(exact_runs(triangles) * sizeof(struct exact_box), BSQ_ALIGNMENT);
-    sizes.boxes = slots_larger(sizes.boxes, sizeof(struct exact_leaf)); /* to be sent */
+    sizes.boxes = exact_larger(sizes.boxes, sizeof(struct exact_leaf)); /* to be sent */
     const uint64_t normals = exact->smooth ? fmt_tris_normals_size_max(exact->file) : 0;
-    sizes.slot = sizes.chunk + slots_larger(sizes.tree, bsq_align_up(normals, BSQ_ALIGNMENT));
+    sizes.slot = sizes.chunk + exact_larger(sizes.tree, bsq_align_up(normals, BSQ_ALIGNMENT));
     return sizes;
 }
 

@@ -95,7 +95,7 @@ static struct share share_of(const struct bake_job *job, uint64_t texels)
     return (struct share){job, texels, texels * samples};
 }
 
-/* Returns how many seconds one core is expected to need for so many texels. */
+/* Returns the seconds that the bake is expected to take on one core. texels: how many it covers. */
 static double expect_seconds(const struct bake_job *job, uint64_t texels)
 {
     const struct share share = share_of(job, texels);

@@ -355,7 +355,7 @@ static int write_region(void *arg, void *slot, uint64_t sequence)
 static void choose_scale(struct pass *p, struct vox_part *parts, uint64_t target)
 {
     const uint64_t count = p->from->part_count;
-    double sum = 0, low = 0, high = 1;
+    double sum = 0, low = 0, high = weight_most; /* with which all are kept */
     for (uint64_t i = 0; i < count; i++)
         sum += parts[i].triangles * (double)parts[i].weight;
     const double mean = sum / (double)p->from->triangles;
@@ -363,7 +363,6 @@ static void choose_scale(struct pass *p, struct vox_part *parts, uint64_t target
         const double weight = mean > 0 ? (double)parts[i].weight / mean : 1;
         parts[i].weight = (float)fmin(fmax(weight, 1 / weight_most), weight_most);
     }
-    high = weight_most; /* all are kept */
     for (int step = 0; step < SHARE_STEPS; step++) {
         const double middle = 0.5 * (low + high);
         sum = 0;

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import mmap
 import os
-import re
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any, Iterator
 
 import numpy as np
 
-from .mesh import Error
+from .mesh import Error, ply_layout
 
 #: Points closer to a plane than this share of their shortest edge move onto it, unless the surface is close to
 #: parallel to the plane: the square of the sine of their angle.
@@ -110,17 +109,15 @@ def _find(faces: np.ndarray, test: Any) -> np.ndarray:
 
 def read_level(path: Path, origin: np.ndarray, store: Store) -> Part:
     """Reads a PLY file of bisque-simplify; positions become relative to an origin."""
-    with open(path, "rb") as file:
-        head = file.read(1024).partition(b"end_header\n")[0].decode("ascii")
-    vertices, faces = (int(re.search(rf"element {name} (\d+)", head)[1]) for name in ("vertex", "face"))
-    rows = np.dtype([("p", "<f8" if "double x" in head else "<f4", 3), ("n", "<f4", 3)])
-    at = len(head) + len("end_header\n")
-    read = np.memmap(path, rows, "r", at, vertices)
+    (at, vertices, kind), (faces_at, faces, row) = ply_layout(path)
+    read = np.memmap(path, kind, "r", at, vertices)
     part = Part(store.array(vertices, 7, np.float32), store.array(faces, 3, np.int32))
     for some in _blocks(vertices):
-        part.points[some, :3] = read["p"][some] - origin
-        part.points[some, 3:6], part.points[some, 6] = read["n"][some], 0
-    read = np.memmap(path, np.dtype([("count", "u1"), ("v", "<u4", 3)]), "r", at + vertices * rows.itemsize, faces)
+        for k, name in enumerate("xyz"):
+            part.points[some, k] = read[name][some] - origin[k]
+            part.points[some, 3 + k] = read["n" + name][some]
+        part.points[some, 6] = 0
+    read = np.memmap(path, row, "r", faces_at, faces)
     for some in _blocks(faces):
         part.faces[some] = read["v"][some]
     return part

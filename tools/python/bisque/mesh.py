@@ -283,29 +283,33 @@ def as_mesh(thing: Any) -> Mesh:
 MOST_HEADER = 1 << 16
 
 
-def _read_ply(path: str) -> Mesh:
-    """Reads what bisque-simplify writes: positions, normals and triangles."""
+def ply_layout(path: str | os.PathLike) -> list[tuple[int, int, np.dtype]]:
+    """Returns of the vertices and the triangles of a PLY file as bisque-simplify writes it: the byte at which they
+    begin, how many there are, and what a row has. Raises Error, and KeyError for other PLY files."""
     types = {"float": "<f4", "double": "<f8", "uchar": "u1", "uint": "<u4", "int": "<i4"}
     with open(path, "rb") as file:
         header, end, _ = file.read(MOST_HEADER).partition(b"\nend_header\n")
         if not end:
             raise Error(65, f"{path}: its header does not end")
-        file.seek(len(header + end))
         words = [line.split() for line in header.decode("ascii").split("\n")]
         counts = {line[1]: int(line[2]) for line in words if line[:1] == ["element"]}
         columns = [(line[2], types[line[1]]) for line in words
                    if line[:1] == ["property"] and line[1] != "list"]
         if words[1][1] != "binary_little_endian" or ["vertex", "face"] != list(counts):
             raise KeyError("format")
-        left = os.fstat(file.fileno()).st_size - file.tell()
-        rows = []
-        for count, kind in ((counts["vertex"], np.dtype(columns)),
-                            (counts["face"], np.dtype([("n", "u1"), ("v", "<u4", 3)]))):
-            left -= count * kind.itemsize
-            if left < 0 or count < 0:
-                raise Error(65, f"{path}: it ends before the last element")
-            rows.append(np.fromfile(file, kind, count))
-    vertices, faces = rows
+        at, size, layout = len(header + end), os.fstat(file.fileno()).st_size, []
+    for count, kind in ((counts["vertex"], np.dtype(columns)),
+                        (counts["face"], np.dtype([("n", "u1"), ("v", "<u4", 3)]))):
+        layout.append((at, count, kind))
+        at += count * kind.itemsize
+        if at > size or count < 0:
+            raise Error(65, f"{path}: it ends before the last element")
+    return layout
+
+
+def _read_ply(path: str) -> Mesh:
+    """Reads what bisque-simplify writes: positions, normals and triangles."""
+    vertices, faces = (np.fromfile(path, kind, count, offset=at) for at, count, kind in ply_layout(path))
     if (faces["n"] != 3).any():
         raise KeyError("polygons")
     mesh = Mesh(np.stack([vertices[k] for k in "xyz"], axis=1), faces["v"].astype(np.int64))

@@ -1,9 +1,8 @@
 /* Tests edge collapse on closed, open and broken meshes: topology, volume, borders, and what must
  * not move; and the welding before it. */
 #include "libvoxel/simplify/steps.h"
+#include "tests/unit/libvoxel/simplify/torus.h"
 #include "tests/unit/test.h"
-
-#define PI 3.14159265358979323846
 
 SHARED_CONTEXT(ctx, 1)
 
@@ -30,13 +29,6 @@ static struct vox_mesh make_grid(uint32_t n, bool closed, void (*place)(double, 
     return mesh;
 }
 
-static void on_torus(double x, double y, float *p)
-{
-    const double r = 3 + cos(2 * PI * y);
-    p[0] = (float)(r * cos(2 * PI * x));
-    p[1] = (float)(r * sin(2 * PI * x));
-    p[2] = (float)sin(2 * PI * y);
-}
 static void on_plane(double x, double y, float *p)
 {
     p[0] = (float)(4 * x);

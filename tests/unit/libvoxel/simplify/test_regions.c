@@ -4,19 +4,11 @@
 
 #include "libvoxel/simplify/steps.h"
 #include "libvoxel/voxel.h"
+#include "tests/unit/libvoxel/simplify/torus.h"
 #include "tests/unit/test.h"
-
-#define PI 3.14159265358979323846
 
 enum { SIDE = 160, ROWS = 4, REGION = 8000, TARGET = SIDE * SIDE / 4 };
 
-static void on_torus(double x, double y, float *p)
-{
-    const double r = 3 + cos(2 * PI * y);
-    p[0] = (float)(r * cos(2 * PI * x));
-    p[1] = (float)(r * sin(2 * PI * x));
-    p[2] = (float)sin(2 * PI * y);
-}
 /* A square of side 4, waves in one half. */
 static void half_flat(double x, double y, float *p)
 {
