@@ -114,7 +114,6 @@ struct exact_slot {
     struct exact_tree tree;
     struct fmt_tris_normals normals; /* that were made; while hits are evaluated, in tree_memory */
     void *chunk_memory, *tree_memory;
-    bool hit; /* some hits are in its chunk */
 };
 
 /* The slots of a wave of chunks. */

@@ -50,14 +50,15 @@ static bool in_chunk(const struct bake_exact *exact, uint32_t chunk, uint64_t tr
            triangle - info->first_triangle < info->triangle_count;
 }
 
-/* Calls `take` for each ray whose hit is in the slot's chunk, among entries of its bucket. */
+/* Calls `take` for each ray whose hit is in the slot's chunk, among entries of its bucket, until it
+ * returns something else than 0, and returns that. */
 static inline int
 each_hit(const struct wave *wave, struct exact_slot *slot, uint64_t begin, uint64_t end,
          int (*take)(const struct wave *wave, struct exact_slot *slot, uint64_t ray))
 {
     const struct exact_buckets *buckets = wave->buckets;
     int status = 0;
-    for (uint64_t i = begin; i < end; i++)
+    for (uint64_t i = begin; i < end && status == 0; i++)
         for (unsigned left = buckets->found[i]; left && status == 0; left &= left - 1) {
             const uint64_t ray =
                 (uint64_t)buckets->bundles[i] * BAKE_RAY_BUNDLE + (unsigned)__builtin_ctz(left);
@@ -67,12 +68,12 @@ each_hit(const struct wave *wave, struct exact_slot *slot, uint64_t begin, uint6
     return status;
 }
 
-static int note_hit(const struct wave *wave, struct exact_slot *slot, uint64_t ray)
+static int stop_at_hit(const struct wave *wave, struct exact_slot *slot, uint64_t ray)
 {
     (void)wave;
+    (void)slot;
     (void)ray;
-    slot->hit = true;
-    return 0;
+    return 1;
 }
 
 static int prepare_slot(void *arg, uint64_t index, unsigned worker)
@@ -89,11 +90,10 @@ static int load_slot_normals(void *arg, uint64_t index, unsigned worker)
     struct exact_slot *slot = &wave->memory->slots.slots[index];
     const uint64_t *starts = &wave->buckets->starts[slot->number];
     (void)worker;
-    slot->hit = false;
-    each_hit(wave, slot, starts[0], starts[1], note_hit);
-    return slot->hit ? fmt_tris_load_normals(wave->exact->file, slot->number, slot->tree_memory,
-                                             &slot->normals)
-                     : 0;
+    if (each_hit(wave, slot, starts[0], starts[1], stop_at_hit) == 0)
+        return 0;
+    return fmt_tris_load_normals(wave->exact->file, slot->number, slot->tree_memory,
+                                 &slot->normals);
 }
 
 /* The rays of a bundle that have a direction, and their hits so far. */

@@ -1,7 +1,7 @@
 /* exact_walk_lanes.c - finds the nearest hits of rays among the triangles of chunks.
  *
  * The leaves of the tree are runs of EXACT_RUN triangles. So that most triangles that are tested in
- * double are hit, these have boxes, too. A bundle makes those of the runs that it enters: that
+ * double are hit, these have boxes, too. They are made for the runs that a bundle enters: that
  * takes no longer than to bring them from memory. */
 #include <string.h>
 
@@ -61,39 +61,41 @@ static void walk_try_triangle(struct trace *trace, uint32_t triangle)
     trace->walk.range = range_of(trace->t_max, best, limits);
 }
 
-/* Tests the triangles of a run that have these boxes. */
-static inline void try_boxes(struct trace *trace, uint32_t run, const struct exact_box8 *boxes)
+/* Tests the triangles with these numbers and boxes. */
+LANES_INLINE void try_boxes(struct trace *trace, const uint32_t *numbers,
+                            const struct exact_box8 *boxes)
 {
     eights distances;
     unsigned bits = exact_line_crosses(&trace->walk.line, boxes, trace->walk.range.span,
                                        trace->walk.range.reach, &distances);
     for (; bits; bits &= bits - 1)
-        walk_try_triangle(trace, EXACT_RUN * run + (unsigned)__builtin_ctz(bits));
+        walk_try_triangle(trace, numbers[__builtin_ctz(bits)]);
 }
 
 static void try_run(void *arg, uint32_t run)
 {
     struct trace *trace = arg;
     struct exact_box8 boxes;
+    uint32_t numbers[EXACT_RUN];
+    for (uint32_t i = 0; i < EXACT_RUN; i++)
+        numbers[i] = EXACT_RUN * run + i;
     exact_run_set(&trace->slot->chunk, run, &boxes);
-    try_boxes(trace, run, &boxes);
+    try_boxes(trace, numbers, &boxes);
 }
 
 /* ---- bundles ----
  *
  * Walking a tree waits for one node after the other. So neighbouring rays look together for the
- * runs that any of them may cross. The boxes of these are gathered by eights, and each ray goes
- * through this list. */
+ * triangles that any of them may cross. The boxes of these are gathered by eights, and each ray
+ * goes through this list. */
 
-enum { MOST_RUNS = 64 };
+enum { MOST_RUNS = 64, MOST_TRIANGLES = 256 };
 
-/* Runs of a tree. */
-struct runs {
-    uint64_t entered; /* bit i: triangles[i] is set */
-    uint32_t count;   /* MOST_RUNS + 1: there are more than fit */
-    uint32_t numbers[MOST_RUNS];
-    struct exact_box8 boxes[MOST_RUNS / 8];
-    struct exact_box8 triangles[MOST_RUNS];
+/* Triangles of a chunk. */
+struct list {
+    uint32_t count; /* MOST_TRIANGLES + 1: there are more than fit */
+    uint32_t numbers[MOST_TRIANGLES];
+    struct exact_box8 boxes[MOST_TRIANGLES / 8];
 };
 
 /* A convex part of space that holds where hits of all rays of a bundle count. Between two planes
@@ -192,70 +194,61 @@ static inline unsigned beam_crosses(const struct beam *beam, const struct exact_
     return bits;
 }
 
-/* Adds the children of a leaf node. Returns false if they do not fit. */
-static bool walk_add_runs(struct runs *runs, const struct fmt_tris_chunk *chunk,
-                          const struct exact_box8 *boxes, uint32_t first, unsigned bits)
-{
-    if (runs->count + (unsigned)__builtin_popcount(bits) > MOST_RUNS)
-        return false;
-    for (; bits; bits &= bits - 1, runs->count++) {
-        const unsigned c = (unsigned)__builtin_ctz(bits), to = runs->count % 8;
-        struct exact_box8 *out = &runs->boxes[runs->count / 8];
-        const char *triangles = (const char *)chunk->triangles[EXACT_RUN * (first + c)];
-        __builtin_prefetch(triangles);
-        __builtin_prefetch(triangles + 64);
-        runs->numbers[runs->count] = first + c;
-        for (int k = 0; k < 3; k++) {
-            out->planes[0][k][to] = boxes->planes[0][k][c];
-            out->planes[1][k][to] = boxes->planes[1][k][c];
-        }
-    }
-    return true;
-}
-
-/* Lists the runs that overlap the beam. */
-static void find_runs(const struct exact_slot *slot, const struct beam *beam, struct runs *runs)
+/* Lists the runs of the slot's chunk that overlap the beam. Returns their count, above MOST_RUNS if
+ * there are more than fit. */
+static uint32_t find_runs(const struct exact_slot *slot, const struct beam *beam,
+                          uint32_t runs[MOST_RUNS])
 {
     const struct exact_tree *tree = &slot->tree;
     struct exact_entry stack[EXACT_TREE_STACK];
-    uint32_t depth = 1;
-    runs->count = 0;
+    uint32_t depth = 1, count = 0;
     stack[0] = (struct exact_entry){0, tree->levels - 1, 0};
     while (depth > 0) {
         const struct exact_entry top = stack[--depth];
-        const struct exact_box8 *boxes = &tree->nodes[tree->first[top.level] + top.node];
-        unsigned bits = beam_crosses(beam, boxes);
-        if (top.level == 0) {
-            if (walk_add_runs(runs, &slot->chunk, boxes, 8 * top.node, bits))
+        unsigned bits = beam_crosses(beam, &tree->nodes[tree->first[top.level] + top.node]);
+        if (top.level == 0 && count + (unsigned)__builtin_popcount(bits) > MOST_RUNS)
+            return MOST_RUNS + 1;
+        for (; bits; bits &= bits - 1) {
+            const uint32_t child = 8 * top.node + (uint32_t)__builtin_ctz(bits);
+            if (top.level > 0) {
+                stack[depth++] = (struct exact_entry){0, top.level - 1, child};
                 continue;
-            runs->count = MOST_RUNS + 1;
+            }
+            exact_prefetch(slot->chunk.triangles[EXACT_RUN * child],
+                           EXACT_RUN * sizeof *slot->chunk.triangles, 1);
+            runs[count++] = child;
+        }
+    }
+    return count;
+}
+
+/* Lists the triangles of the slot's chunk that overlap the beam. */
+static void find_triangles(const struct exact_slot *slot, const struct beam *beam,
+                           struct list *list)
+{
+    uint32_t runs[MOST_RUNS];
+    const uint32_t count = find_runs(slot, beam, runs);
+    list->count = count > MOST_RUNS ? MOST_TRIANGLES + 1 : 0;
+    for (uint32_t r = 0; r < count && list->count <= MOST_TRIANGLES; r++) {
+        struct exact_box8 boxes;
+        exact_run_set(&slot->chunk, runs[r], &boxes);
+        unsigned bits = beam_crosses(beam, &boxes);
+        if (list->count + (unsigned)__builtin_popcount(bits) > MOST_TRIANGLES) {
+            list->count = MOST_TRIANGLES + 1;
             return;
         }
-        for (; bits; bits &= bits - 1)
-            stack[depth++] = (struct exact_entry){0, top.level - 1,
-                                                  8 * top.node + (uint32_t)__builtin_ctz(bits)};
+        for (; bits; bits &= bits - 1, list->count++) {
+            const unsigned c = (unsigned)__builtin_ctz(bits), to = list->count % 8;
+            struct exact_box8 *out = &list->boxes[list->count / 8];
+            list->numbers[list->count] = EXACT_RUN * runs[r] + c;
+            for (int k = 0; k < 3; k++) {
+                out->planes[0][k][to] = boxes.planes[0][k][c];
+                out->planes[1][k][to] = boxes.planes[1][k][c];
+            }
+        }
     }
-    exact_box8_end(runs->boxes, runs->count);
-}
-
-static void try_listed(struct trace *trace, struct runs *runs, uint32_t i)
-{
-    if (!(runs->entered >> i & 1))
-        exact_run_set(&trace->slot->chunk, runs->numbers[i], &runs->triangles[i]);
-    runs->entered |= UINT64_C(1) << i;
-    try_boxes(trace, runs->numbers[i], &runs->triangles[i]);
-}
-
-static void try_runs(struct trace *trace, struct runs *runs)
-{
-    for (uint32_t i = 0; i < runs->count; i += 8) {
-        eights distances;
-        unsigned bits =
-            exact_line_crosses(&trace->walk.line, &runs->boxes[i / 8], trace->walk.range.span,
-                               trace->walk.range.reach, &distances);
-        for (; bits; bits &= bits - 1)
-            try_listed(trace, runs, i + (unsigned)__builtin_ctz(bits));
-    }
+    if (list->count <= MOST_TRIANGLES)
+        exact_box8_end(list->boxes, list->count);
 }
 
 unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uint64_t first,
@@ -263,16 +256,15 @@ unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uin
                                               const struct exact_limits *limits,
                                               struct exact_best *best)
 {
-    struct runs runs;
+    struct list list;
     unsigned improved = 0;
     struct beam beam;
-    runs.count = MOST_RUNS + 1;
-    runs.entered = 0;
+    list.count = MOST_TRIANGLES + 1;
     if (slot->tree.levels > 0 && set_beam(&beam, rays, count, limits->t_min, limits->t_max))
-        find_runs(slot, &beam, &runs);
+        find_triangles(slot, &beam, &list);
     struct exact_range fresh = {0}; /* of rays without a hit, and with this reach */
     double reach = NAN;
-    for (uint32_t i = 0; i < count && runs.count > 0; i++) {
+    for (uint32_t i = 0; i < count && list.count > 0; i++) {
         struct trace trace;
         trace.slot = slot;
         trace.first = first;
@@ -294,8 +286,9 @@ unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uin
             reach = best[i].reach;
             trace.walk.range = fresh;
         }
-        if (runs.count <= MOST_RUNS)
-            try_runs(&trace, &runs);
+        if (list.count <= MOST_TRIANGLES)
+            for (uint32_t b = 0; b < list.count; b += 8)
+                try_boxes(&trace, &list.numbers[b], &list.boxes[b / 8]);
         else
             exact_walk_tree(&trace.walk, &slot->tree, try_run, &trace);
         improved |= (unsigned)trace.improved << i;
