@@ -3,6 +3,8 @@
 
 #include <assert.h>
 #include <errno.h>
+#include <stdarg.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -120,6 +122,21 @@ int bsq_text_copy(struct bsq_ctx *ctx, const char *text, char **out)
     int status = bsq_alloc(ctx, "names", size, 1, out);
     if (status == 0)
         memcpy(*out, text, size);
+    return status;
+}
+
+int bsq_text_print(struct bsq_ctx *ctx, char **out, const char *format, ...)
+{
+    va_list arguments, again;
+    va_start(arguments, format);
+    va_copy(again, arguments);
+    const size_t size = (size_t)vsnprintf(NULL, 0, format, arguments) + 1;
+    *out = NULL;
+    const int status = bsq_alloc(ctx, "names", size, 1, out);
+    if (status == 0)
+        vsnprintf(*out, size, format, again);
+    va_end(again);
+    va_end(arguments);
     return status;
 }
 

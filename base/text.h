@@ -36,6 +36,9 @@ void bsq_tally_release(struct bsq_ctx *ctx, struct bsq_tally *tally);
 
 /* Copies a text; NULL gives NULL. Free *out with bsq_free(). Errors: BSQ_ENOMEM. */
 int bsq_text_copy(struct bsq_ctx *ctx, const char *text, char **out);
+/* Makes a text as printf() does. Free *out with bsq_free(). Errors: BSQ_ENOMEM. */
+int bsq_text_print(struct bsq_ctx *ctx, char **out, const char *format, ...)
+    __attribute__((format(printf, 3, 4)));
 
 /* Texts in the order in which they were added. All zeros: empty. Free it with bsq_texts_free(). */
 struct bsq_texts {

@@ -2,9 +2,10 @@
 #include "formats/material/file_extent.h"
 
 #include <inttypes.h>
-#include <stdio.h>
 #include <string.h>
 #include <unistd.h>
+
+#include "base/text.h"
 
 /* ---- names ---- */
 
@@ -49,15 +50,10 @@ size_t fmt_extent_parse(const char *name, struct fmt_extent *out)
 int fmt_extent_name(struct bsq_ctx *ctx, const char *path, const struct fmt_extent *extent,
                     char **out)
 {
-    const size_t size = strlen(path) + sizeof "#base64=,+" + 3 * 20;
-    BSQ_PASS(bsq_alloc(ctx, "names", size, 1, out));
-    if (extent->base64)
-        snprintf(*out, size, "%s#base64=%" PRIu64 ",%" PRIu64 "+%" PRIu64, path, extent->offset,
-                 extent->first, extent->size);
-    else
-        snprintf(*out, size, "%s#bytes=%" PRIu64 "+%" PRIu64, path, extent->offset + extent->first,
-                 extent->size);
-    return 0;
+    return extent->base64 ? bsq_text_print(ctx, out, "%s#base64=%" PRIu64 ",%" PRIu64 "+%" PRIu64,
+                                           path, extent->offset, extent->first, extent->size)
+                          : bsq_text_print(ctx, out, "%s#bytes=%" PRIu64 "+%" PRIu64, path,
+                                           extent->offset + extent->first, extent->size);
 }
 
 /* ---- base64 ---- */
@@ -157,9 +153,7 @@ int fmt_extent_open(struct bsq_ctx *ctx, const char *name, struct fmt_extent *ex
         return status;
     }
     *out = (struct bsq_file)BSQ_FILE_CLOSED;
-    BSQ_PASS(bsq_alloc(ctx, "names", length + 1, 1, &path));
-    memcpy(path, name, length);
-    path[length] = '\0';
+    BSQ_PASS(bsq_text_print(ctx, &path, "%.*s", (int)length, name));
     const int status = bsq_file_open(ctx, path, out);
     bsq_free(ctx, path);
     return status;

@@ -10,6 +10,7 @@
 
 #include "formats/material/file_extent.h"
 #include "base/sort_array.h"
+#include "base/text.h"
 
 static const char udim[] = "<UDIM>", uvtile[] = "<UVTILE>";
 
@@ -108,23 +109,10 @@ static int tile_files_add(struct bsq_ctx *ctx, const char *path, uint32_t number
     if (stat(path, &info) != 0 || !S_ISREG(info.st_mode))
         return 0;
     BSQ_PASS(BSQ_GROW(ctx, "tiles of a texture", out->count + 1, &out->list, &out->capacity));
-    struct fmt_tile_file *file = &out->list[out->count];
-    BSQ_PASS(bsq_alloc(ctx, "tiles of a texture", strlen(path) + 1, 1, &file->path));
-    strcpy(file->path, path);
-    file->number = number;
-    out->count++;
-    return 0;
-}
-
-/* Joins `length` bytes of a path and what follows them. The caller frees *out with free(). */
-static int tile_files_join(struct bsq_ctx *ctx, const char *path, const char *next, size_t length,
-                           const char *end, char **out)
-{
-    if (asprintf(out, "%s%.*s%s", path, (int)length, next, end) >= 0)
-        return 0;
-    *out = NULL;
-    bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", path);
-    return BSQ_ENOMEM;
+    out->list[out->count].number = number;
+    const int status = bsq_text_copy(ctx, path, &out->list[out->count].path);
+    out->count += status == 0;
+    return status;
 }
 
 /* Lists the files whose path begins with `folder`, which is "" or ends in a slash, and matches
@@ -137,7 +125,7 @@ static int find_files(struct bsq_ctx *ctx, const char *folder, const char *rest,
     char *path = NULL;
     int status = bsq_check(ctx);
     if (status == 0)
-        status = tile_files_join(ctx, folder, rest, fmt_tile_folder(rest), "", &path);
+        status = bsq_text_print(ctx, &path, "%s%.*s", folder, (int)fmt_tile_folder(rest), rest);
     if (status == 0 && !component)
         status = tile_files_add(ctx, path, tile.number, out);
     DIR *entries = status == 0 && component ? opendir(*path ? path : ".") : NULL;
@@ -147,15 +135,14 @@ static int find_files(struct bsq_ctx *ctx, const char *folder, const char *rest,
         char *next;
         if (!matches(component, end, entry->d_name, &found))
             continue;
-        status = tile_files_join(ctx, path, entry->d_name, strlen(entry->d_name), *end ? "/" : "",
-                                 &next);
+        status = bsq_text_print(ctx, &next, "%s%s%s", path, entry->d_name, *end ? "/" : "");
         if (status == 0)
             status = find_files(ctx, next, *end ? end + 1 : end, found, out);
-        free(next);
+        bsq_free(ctx, next);
     }
     if (entries)
         closedir(entries);
-    free(path);
+    bsq_free(ctx, path);
     return status;
 }
 

@@ -1,7 +1,7 @@
 /* gltf_material.c - materials of glTF files: colours, channels, textures and texture coordinates.
  */
+#include <inttypes.h>
 #include <math.h>
-#include <stdio.h>
 #include <string.h>
 
 #include "base/srgb.h"
@@ -326,9 +326,8 @@ static int read_color(const struct gltf_item *item, const json_t *object, const 
 static int read_name(const struct gltf_item *item, char **out)
 {
     const char *name = fmt_gltf_string(item->object, "name");
-    char number[40];
-    snprintf(number, sizeof number, "material %lu", (unsigned long)item->index);
-    return bsq_text_copy(item->document->ctx, name ? name : number, out);
+    return name ? bsq_text_copy(item->document->ctx, name, out)
+                : bsq_text_print(item->document->ctx, out, "material %" PRIu64, item->index);
 }
 
 /* Reads how alpha hides a material. `alpha` is for faces without texture, and multiplies the

@@ -393,10 +393,8 @@ int fmt_mesh_location_text(struct fmt_mesh_reader *reader, uint64_t face, char *
     struct fmt_mesh_location location;
     *out = NULL;
     BSQ_PASS(fmt_stream_locate_face(reader, face, &location));
-    const struct location_end end = end_of_location(&location, face);
-    BSQ_PASS(bsq_alloc(reader->ctx, "names", strlen(location.path) + sizeof end, 1, out));
-    sprintf(*out, "%s%s", location.path, end.text);
-    return 0;
+    return bsq_text_print(reader->ctx, out, "%s%s", location.path,
+                          end_of_location(&location, face).text);
 }
 
 int fmt_mesh_report_loss(struct fmt_mesh_reader *reader, enum fmt_mesh_kind kind,

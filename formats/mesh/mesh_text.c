@@ -108,10 +108,7 @@ static size_t directory_length(const char *path)
 int fmt_path_beside(struct bsq_ctx *ctx, const char *beside, const char *path, char **out)
 {
     const size_t directory = path[0] == '/' ? 0 : directory_length(beside);
-    BSQ_PASS(bsq_alloc(ctx, "names", directory + strlen(path) + 1, 1, out));
-    memcpy(*out, beside, directory);
-    strcpy(*out + directory, path);
-    return 0;
+    return bsq_text_print(ctx, out, "%.*s%s", (int)directory, beside, path);
 }
 
 /* Checks that a path is a regular file, or that a texture of tiles has a tile. */

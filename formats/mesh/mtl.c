@@ -213,16 +213,6 @@ static int read_option(struct reader *reader, char **at, const struct map_option
     return changes && option->effect == OPTION_CHANGES ? warn(reader, unused_option, p) : 0;
 }
 
-/* Notes that the current line names a texture. */
-static int note_place(struct reader *reader, char **place)
-{
-    const size_t size = strlen(reader->path) + 24;
-    bsq_free(reader->ctx, *place);
-    BSQ_PASS(bsq_alloc(reader->ctx, "names", size, 1, place));
-    snprintf(*place, size, "%s:%" PRIu64, reader->path, reader->line);
-    return 0;
-}
-
 /* Reads "[options] file" of a statement. The file name may contain blanks and be quoted. */
 static int read_map(struct reader *reader, char *p, struct fmt_material_channel *entry)
 {
@@ -242,11 +232,12 @@ static int read_map(struct reader *reader, char *p, struct fmt_material_channel 
         bsq_free(reader->ctx, path);
         return warn(reader, "names no file, ignored", statement);
     }
-    bsq_free(reader->ctx, entry->texture_path);
+    BSQ_FREE(reader->ctx, entry->texture_path, entry->texture_place);
     entry->texture_path = path;
     entry->uv = texture.uv;
     entry->component = texture.component;
-    return note_place(reader, &entry->texture_place);
+    return bsq_text_print(reader->ctx, &entry->texture_place, "%s:%" PRIu64, reader->path,
+                          reader->line);
 }
 
 /* ---- properties: the colour, and further channels ---- */

@@ -92,10 +92,9 @@ static int read_library(const struct stream_source *source, uint64_t library,
                         struct fmt_materials *out)
 {
     const struct obj_file *file = source->data;
-    const size_t size = strlen(source->path) + 24;
     char *place;
-    BSQ_PASS(bsq_alloc(source->ctx, "names", size, 1, &place));
-    snprintf(place, size, "%s:%" PRIu64, source->path, file->library_lines[library]);
+    BSQ_PASS(bsq_text_print(source->ctx, &place, "%s:%" PRIu64, source->path,
+                            file->library_lines[library]));
     int status = fmt_mtl_read(source->ctx, file->libraries.list[library], place,
                               library < file->previewed, out);
     bsq_free(source->ctx, place);

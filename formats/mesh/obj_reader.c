@@ -126,10 +126,9 @@ static int enter_object(struct stream_source *source, uint64_t *number)
 {
     struct obj_file *file = source->data;
     const char *object = file->object ? file->object : "";
-    const size_t size = OBJ_MATERIAL_DIGITS + strlen(object) + 1;
     char *text;
-    BSQ_PASS(bsq_alloc(source->ctx, "names", size, 1, &text));
-    snprintf(text, size, "%0*" PRIx32 "%s", OBJ_MATERIAL_DIGITS, file->material, object);
+    BSQ_PASS(bsq_text_print(source->ctx, &text, "%0*" PRIx32 "%s", OBJ_MATERIAL_DIGITS,
+                            file->material, object));
     int status = bsq_texts_add(source->ctx, &source->reader->names, &file->objects, text, number);
     bsq_free(source->ctx, text);
     return status;
