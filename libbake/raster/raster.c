@@ -26,33 +26,10 @@ enum { TRIANGLES_A_CHECK = 64 };
  * the first sample at or right of it. A span reaches from the left edge's sample to the right
  * edge's, exclusive, and rows are half open in the same way: this is the top-left rule. Two
  * triangles that share an edge compute the same rational from it, so each sample along the edge
- * belongs to exactly one of them. The next row adds a constant to the numerator, so the quotient is
- * carried along without another division (Bresenham's idea; for polygons see Foley et al.,
- * "Computer Graphics: Principles and Practice", 1990, section 3.6).
+ * belongs to exactly one of them.
  *
  * Numerators are products of two coordinates. They do not overflow 128 bits, even for triangles
  * that extend far beyond the map. */
-
-/* The first sample at or right of an edge on successive rows: the quotient of an exact division,
- * carried from row to row. */
-struct raster_edge {
-    int64_t sample;
-    __int128 rest; /* sample * divisor - numerator, in [0, divisor) */
-    __int128 divisor;
-    __int128 step_rest; /* remainder of the step from row to row, in [0, divisor) */
-    int64_t step;
-};
-
-/* The spans of a triangle from top to bottom. */
-struct raster_spans {
-    struct raster_window window;
-    struct raster_triangle corners; /* ordered by y */
-    struct raster_edge long_edge;   /* over the full height of the triangle */
-    struct raster_edge short_edge;  /* the upper or lower one of the others */
-    unsigned shift;
-    bool short_is_right;
-    uint32_t row, middle_row, end_row;
-};
 
 /* Corners inside the map are below 2^28 steps; a step is at least 2^-16 samples. */
 #define MAP_BITS  28
@@ -140,95 +117,52 @@ struct raster_window bake_raster_bounds(const struct sample_grid *grid,
                                   .end_y = first_sample(grid, high_y, grid->rows)};
 }
 
-/* Sets up the edge from corner a down to corner b for a row. */
-static void edge_begin(struct raster_edge *edge, const struct raster_spans *spans, int a, int b,
-                       uint32_t row)
+/* Returns the first sample at or right of the edge from corner a down to corner b, in a row whose
+ * centre lies between them. */
+static int64_t sample_at_edge(const struct sample_grid *grid, const struct raster_triangle *t,
+                              int a, int b, int64_t centre)
 {
-    const struct raster_triangle *t = &spans->corners;
-    const int64_t one = (int64_t)1 << spans->shift;
+    const int64_t one = (int64_t)1 << grid->shift;
     const __int128 height = t->y[b] - t->y[a], width = t->x[b] - t->x[a];
-    const __int128 centre = (__int128)row * one + one / 2;
     const __int128 numerator = (t->x[a] - one / 2) * height + width * (centre - t->y[a]);
-    edge->divisor = height * one;
-    edge->sample = (int64_t)-divide_down(-numerator, edge->divisor);
-    edge->rest = edge->sample * edge->divisor - numerator;
-    edge->step = (int64_t)divide_down(width, height);
-    edge->step_rest = width * one - edge->step * edge->divisor;
+    return (int64_t)-divide_down(-numerator, height * one);
 }
 
-/* Moves an edge to the next row. */
-static void edge_step(struct raster_edge *edge)
+/* Finds the samples of a triangle in a row of a window, begin <= x < end. A sample belongs to the
+ * triangle if its centre is inside, or on a top or left edge: two triangles that share an edge
+ * share no sample and leave none out. Returns false if there are none. */
+static bool find_span(const struct sample_grid *grid, const struct raster_triangle *t,
+                      const struct raster_window *window, uint32_t row, uint32_t *begin,
+                      uint32_t *end)
 {
-    edge->sample += edge->step;
-    edge->rest -= edge->step_rest;
-    if (edge->rest < 0) {
-        edge->sample++;
-        edge->rest += edge->divisor;
+    const int64_t one = (int64_t)1 << grid->shift, centre = row * one + one / 2;
+    int64_t left = INT64_MAX, right = INT64_MIN;
+    for (int i = 0; i < 3; i++) {
+        const int j = (i + 1) % 3, a = t->y[i] <= t->y[j] ? i : j, b = a == i ? j : i;
+        if (centre < t->y[a] || centre >= t->y[b])
+            continue;
+        const int64_t sample = sample_at_edge(grid, t, a, b, centre);
+        left = sample < left ? sample : left;
+        right = sample > right ? sample : right;
     }
+    *begin = left > window->begin_x ? (uint32_t)(left < window->end_x ? left : window->end_x)
+                                    : window->begin_x;
+    *end = right < window->end_x ? (uint32_t)(right > window->begin_x ? right : window->begin_x)
+                                 : window->end_x;
+    return *begin < *end;
 }
 
-static void swap_corners(struct raster_triangle *t, int a, int b)
+/* Returns the part of a window with the rows that a triangle may have samples in. */
+static struct raster_window raster_rows(const struct sample_grid *grid,
+                                        const struct raster_triangle *t,
+                                        struct raster_window window)
 {
-    int64_t x = t->x[a], y = t->y[a];
-    t->x[a] = t->x[b];
-    t->y[a] = t->y[b];
-    t->x[b] = x;
-    t->y[b] = y;
-}
-
-static uint32_t clamp_row(uint32_t row, const struct raster_window *window)
-{
-    return row < window->begin_y ? window->begin_y : row > window->end_y ? window->end_y : row;
-}
-
-/* Starts the sequence of spans of a triangle within a window. A sample belongs to the triangle if
- * its centre is inside, or on a top or left edge: two triangles that share an edge share no sample
- * and leave none out. The triangle must have area. */
-static void spans_begin(const struct sample_grid *grid, const struct raster_triangle *triangle,
-                        struct raster_window window, struct raster_spans *out)
-{
-    struct raster_triangle *t = &out->corners;
-    out->window = window;
-    out->corners = *triangle;
-    out->shift = grid->shift;
-    if (t->y[0] > t->y[1])
-        swap_corners(t, 0, 1);
-    if (t->y[1] > t->y[2])
-        swap_corners(t, 1, 2);
-    if (t->y[0] > t->y[1])
-        swap_corners(t, 0, 1);
-    out->short_is_right = double_area(t) > 0;
-    out->row = clamp_row(first_sample(grid, t->y[0], grid->rows), &window);
-    out->middle_row = clamp_row(first_sample(grid, t->y[1], grid->rows), &window);
-    out->end_row = clamp_row(first_sample(grid, t->y[2], grid->rows), &window);
-    if (out->row < out->end_row)
-        edge_begin(&out->long_edge, out, 0, 2, out->row);
-    if (out->row < out->middle_row)
-        edge_begin(&out->short_edge, out, 0, 1, out->row);
-}
-
-/* Finds the next row that has samples, begin <= x < end. Returns false after the last one. */
-static bool spans_next(struct raster_spans *spans, uint32_t *row, uint32_t *begin, uint32_t *end)
-{
-    const struct raster_window *window = &spans->window;
-    while (spans->row < spans->end_row) {
-        if (spans->row == spans->middle_row)
-            edge_begin(&spans->short_edge, spans, 1, 2, spans->row);
-        const int64_t long_sample = spans->long_edge.sample,
-                      short_sample = spans->short_edge.sample;
-        const int64_t left = spans->short_is_right ? long_sample : short_sample;
-        const int64_t right = spans->short_is_right ? short_sample : long_sample;
-        *row = spans->row++;
-        *begin = left > window->begin_x ? (uint32_t)(left < window->end_x ? left : window->end_x)
-                                        : window->begin_x;
-        *end = right < window->end_x ? (uint32_t)(right > window->begin_x ? right : window->begin_x)
-                                     : window->end_x;
-        edge_step(&spans->long_edge);
-        edge_step(&spans->short_edge);
-        if (*begin < *end)
-            return true;
-    }
-    return false;
+    const struct raster_window bounds = bake_raster_bounds(grid, t);
+    if (bounds.begin_y > window.begin_y)
+        window.begin_y = bounds.begin_y;
+    if (bounds.end_y < window.end_y)
+        window.end_y = bounds.end_y;
+    return window;
 }
 
 /* ---- lists ---- */
@@ -486,17 +420,18 @@ static int paint_patch(const struct bake_raster *raster, uint32_t index, uint32_
     const struct raster_window window = patch_window(raster, index);
     const uint64_t stride = window.end_x - window.begin_x;
     struct raster_triangle snapped;
-    struct raster_spans spans;
     uint64_t free = stride * (window.end_y - window.begin_y);
-    uint32_t row, begin, end;
+    uint32_t begin, end;
     *overlap = false;
     for (uint64_t k = raster->starts[index];
          k < raster->starts[index + 1] && !(free == 0 && *overlap); k++) {
         BSQ_PASS(bsq_check(raster->ctx));
         if (!bake_raster_snap(raster, raster->triangles[k], &snapped))
             continue;
-        spans_begin(&raster->grid, &snapped, window, &spans);
-        while (spans_next(&spans, &row, &begin, &end)) {
+        const struct raster_window rows = raster_rows(&raster->grid, &snapped, window);
+        for (uint32_t row = rows.begin_y; row < rows.end_y; row++) {
+            if (!find_span(&raster->grid, &snapped, &rows, row, &begin, &end))
+                continue;
             uint32_t *first = samples + (row - window.begin_y) * stride + (begin - window.begin_x);
             uint32_t taken = paint_span(first, end - begin, raster->triangles[k]);
             free -= end - begin - taken;
@@ -535,14 +470,15 @@ static int count_overlaps_in(const struct bake_raster *raster, uint32_t index,
     uint64_t marks[MARK_SIDE][MARK_SIDE / 64] = {{0}};
     uint64_t unmarked = (uint64_t)(window.end_x - window.begin_x) * (window.end_y - window.begin_y);
     struct raster_triangle snapped;
-    struct raster_spans spans;
-    uint32_t row, begin, end;
+    uint32_t begin, end;
     for (uint64_t k = raster->starts[index]; k < raster->starts[index + 1] && unmarked > 0; k++) {
         BSQ_PASS(bsq_check(raster->ctx));
         if (!bake_raster_snap(raster, raster->triangles[k], &snapped))
             continue;
-        spans_begin(&raster->grid, &snapped, window, &spans);
-        while (spans_next(&spans, &row, &begin, &end)) {
+        const struct raster_window rows = raster_rows(&raster->grid, &snapped, window);
+        for (uint32_t row = rows.begin_y; row < rows.end_y; row++) {
+            if (!find_span(&raster->grid, &snapped, &rows, row, &begin, &end))
+                continue;
             const uint32_t *owners = samples + (row - patch.begin_y) * stride;
             uint32_t added =
                 mark_span(owners + (window.begin_x - patch.begin_x), marks[row - window.begin_y],
