@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 import bisque
-from conftest import FAILURES, sphere
+from conftest import FAILURES, sphere, without_progress
 from test_never_falls import in_parallel
 from test_trust import write_scan
 
@@ -89,8 +89,8 @@ def run(folder, words, **faults):
     environment = {**os.environ, "TMPDIR": str(temporary)}
     if faults:
         environment |= {"LD_PRELOAD": FAULTS, "FAULT_UNDER": os.path.realpath(folder), **faults}
-    done = subprocess.run([sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True,
-                          errors="replace")
+    done = without_progress(subprocess.run([sys.executable, *words], cwd=folder, env=environment, capture_output=True,
+                                           text=True, errors="replace"))
     assert done.returncode in (0, *FAILURES, -signal.SIGKILL) or UNWRAP in words, (done.returncode, done.stderr)
     said = [line for line in done.stderr.splitlines() if not line.startswith("bisque-asset: warning: ")]
     assert len(said) == (done.returncode > 0) or UNWRAP in words, done.stderr

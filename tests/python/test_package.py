@@ -393,6 +393,21 @@ def test_asset_ends_when_told_and_shows_json(tmp_path):
     assert steps == sorted(steps) and len(steps) > 5
 
 
+def test_progress_goes_to_a_log_as_a_line_every_30_seconds(tmp_path):
+    scan = tmp_path / "vase.obj"
+    subprocess.run([GENERATE, "--triangles", "20000", "vase", "-o", scan], check=True)
+    code = ("import itertools, sys, types; from bisque import command; clock = itertools.count(0, 7); "
+            "command.time = types.SimpleNamespace(monotonic=lambda: next(clock)); command.main(sys.argv[1:]); "
+            "print(next(clock) // 7 - 1)")
+    done = subprocess.run([sys.executable, "-c", code, scan, "-o", tmp_path / "vase.glb", "--triangles", "500", "--size",
+                           "64"], check=True, capture_output=True, text=True)
+    lines = [line for line in done.stderr.splitlines() if line.endswith(" % of all")]
+    shares = [int(line.split()[-4]) for line in lines]
+    assert len(lines) == int(done.stdout.split()[-1]) // 5 > 3, "one line in five reports, which are 7 seconds apart"
+    assert all(re.match(r"bisque-asset: [a-z]+: [a-z ]+: \d+ % of all$", line) for line in lines), lines
+    assert shares == sorted(shares) and shares[-1] > shares[0]
+
+
 def test_asset_with_a_page_has_the_same_maps(tmp_path):
     scan = tmp_path / "vase.obj"
     subprocess.run([GENERATE, "--triangles", "20000", "--colors", "vase", "-o", scan], check=True)

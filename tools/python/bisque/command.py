@@ -10,6 +10,7 @@ import re
 import signal
 import sys
 import tempfile
+import time
 import traceback
 import warnings
 from typing import Any, Callable, NoReturn
@@ -30,13 +31,18 @@ def _printable(text: Any) -> str:
                    for c in str(text))
 
 
+#: Where standard error is no terminal, a line tells progress so often, as those of the programs in C do.
+LOG_SECONDS = 30
+
+
 class _Screen:
     """Prints progress and lines to standard error."""
 
     def __init__(self, kind: str):
-        self.kind, self.drawn = kind, False
+        self.kind, self.drawn, self.logged = kind, False, time.monotonic()
 
     def progress(self, stage: str, done: int, total: int, unit: str) -> None:
+        now = time.monotonic()
         if self.kind == "json":
             self._write(json.dumps({"stage": stage, "unit": unit, "done": done, "total": total}) + "\n")
         elif self.kind == "bar":
@@ -44,6 +50,9 @@ class _Screen:
             filled = int(width * share)
             self._write(f"\r[{'#' * filled}{'.' * (width - filled)}] {int(100 * share):3d} % {stage[:36]:36s}")
             self.drawn = True
+        elif self.kind == "log" and now - self.logged >= LOG_SECONDS:
+            self.logged = now
+            self.say(f"{stage}: {100 * done // max(total, 1)} % of all")
 
     def warn(self, message: Any, *_: Any) -> None:
         if self.kind == "json":
@@ -136,7 +145,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--memory", metavar="SIZE", help="for each step, such as 1G")
     parser.add_argument("-j", "--threads", type=int, default=0, metavar="N")
     parser.add_argument("--progress", choices=("auto", "bar", "json", "none"), default="auto",
-                        help="on standard error; auto: a bar on a terminal")
+                        help="on standard error; auto: a bar on a terminal, else a line every 30 s")
     parser.add_argument("--json", action="store_true", help="print the certificate instead of lines")
     parser.add_argument("--version", action="version", version=f"bisque-asset {core.version()}")
     return parser
@@ -204,7 +213,7 @@ def _make(arguments: list[str], screen: _Screen) -> None:
     make, options = _options_of(a, parser)
     screen.kind = a.progress
     if a.progress == "auto":
-        screen.kind = "bar" if sys.stderr and sys.stderr.isatty() else "none"
+        screen.kind = "bar" if sys.stderr and sys.stderr.isatty() else "log"
     options |= {"progress": screen.progress} | ({} if _has_levels(a) else {"command": ["bisque-asset", *arguments]})
     certificate = make(a.scan if len(a.scan) > 1 else a.scan[0], a.output, **options)
     screen.end_bar()
