@@ -13,14 +13,13 @@
  *
  * Each pass over a patch rasterises it again, which costs less than keeping the triangle of every
  * sample. Rays and sums are computed by the kernel's functions. */
-#include "libbake/surface/surface.h"
+#include "libbake/surface/ray_patches.h"
 
 #include <math.h>
 #include <string.h>
 
 #include "base/parallel.h"
 #include "base/sort_array.h"
-#include "libbake/kernel/bk_sample.h"
 
 /* Triangles within this distance of a hit, as a share of 1/2048 of the scan's longest side, belong
  * to the surface that was hit: more than rounding errors. */
@@ -30,166 +29,12 @@
  * when it was computed. */
 #define BOX_SLACK 1e-6f
 
-struct patch {
-    uint32_t index; /* number of the patch in the raster */
-    /* In a sweep the first and the last chunk that the rays may cross, of those that they have not
-     * met. Otherwise the place on the curve, and 0. */
-    uint32_t first, last;
-    float low[3], high[3]; /* what the rays cross, in the index space */
-};
-
-struct tracing {
-    struct bsq_ctx *ctx;
-    const struct bake_surface *surface;
-    const struct bake_patches *patches;
-    const uint32_t *object_of;         /* of each triangle; NULL: not needed */
-    double units_a_length;             /* of the surface, a world unit: 1 for triangles alone */
-    struct bake_patch_workers workers; /* with sums for a row of squares, see square_side() */
-    struct patch *order;
-    uint32_t patch_count;
-    struct bake_exact_sweep *sweep;         /* NULL: each batch meets all chunks */
-    struct bake_footprint *footprint_table; /* of each triangle; NULL: not needed */
-    /* The current batch: the patches in the first `taken` seats. Each has space for seat_rays. */
-    uint32_t seat_count, taken;
-    uint32_t next;        /* order[next] is the first patch that had no seat yet */
-    uint32_t waiting;     /* seats from the first on whose patches an earlier batch has begun */
-    struct patch *seated; /* of each seat */
-    uint64_t seat_rays;
-    struct bake_ray *rays;
-    struct bake_hit *hits;
-    struct bake_hit *next_hits; /* beside these hits, for `confidence`; else NULL */
-    float *reaches;
-    uint32_t *footprints, *objects;
-    float *channels; /* of each hit: values of transfer maps; NULL: there are none */
-    /* For maps of secondary rays; else NULL. */
-    struct bake_look *look;
-    struct bk_share *shares;
-    struct bk_surroundings *surroundings;
-};
-
-/* ---- samples to rays ---- */
-
-/* Returns the side in texels of the squares by which the samples of a patch are numbered. Rays of a
- * square meet fewer triangles of the scan than those of a line. */
-static uint32_t square_side(const struct tracing *tracing)
-{
-    const uint32_t n = tracing->patches->params->samples;
-    return (3 + n) / n;
-}
-
-/* Returns the next multiple of a bundle's rays. Each square begins a bundle. */
-static uint64_t next_bundle(uint64_t ray)
-{
-    return (ray + BAKE_RAY_BUNDLE - 1) / BAKE_RAY_BUNDLE * BAKE_RAY_BUNDLE;
-}
-
 /* Returns the most rays of a patch. */
 static uint64_t most_rays(const struct tracing *tracing)
 {
     const uint32_t n = tracing->patches->params->samples, side = square_side(tracing);
     const uint32_t squares = (tracing->patches->patch_side + side - 1) / side;
     return squares * squares * next_bundle((uint64_t)side * side * n * n);
-}
-
-/* A sample of a patch that lies in a triangle. */
-struct sample {
-    uint32_t triangle;
-    uint32_t texel; /* number in the row of squares, line by line */
-    float x, y;     /* map position in texels */
-    bk_point point; /* of the low-poly mesh */
-    uint64_t ray;   /* its number in the batch */
-};
-
-/* Does something with a sample. into: where the result goes. */
-typedef void take_sample_fn(struct tracing *tracing, const struct sample *sample, void *into);
-
-/* Calls `take` for the samples of a line of a square that lie in a triangle, from the left. column,
- * end: its texels in the patch. first: number of the line's first texel, see struct sample. */
-static inline void each_sample_of_line(struct tracing *tracing, const struct bk_patch *patch,
-                                       const uint32_t *samples, uint32_t line, uint32_t column,
-                                       uint32_t end, uint32_t first, uint64_t *ray,
-                                       take_sample_fn *take, void *into)
-{
-    const struct bk_params *params = tracing->patches->params;
-    const uint32_t n = params->samples;
-    const float y = bk_sample_position(patch->y + line / n, line % n, n);
-    uint64_t index = ((uint64_t)line * patch->width + column) * n;
-    for (; column < end; column++)
-        for (uint32_t i = 0; i < n; i++, index++) {
-            struct sample sample = {.triangle = samples[index], .texel = first + column, .y = y};
-            if (sample.triangle == BK_NO_TRIANGLE)
-                continue;
-            const struct bk_triangle *triangle = &tracing->patches->triangles[sample.triangle];
-            sample.x = bk_sample_position(patch->x + column, i, n);
-            sample.point = bk_point_at(triangle, sample.x, y);
-            if (params->flags & BK_SKEW)
-                bk_set_lane3(&sample.point.direction, 0,
-                             bk_skewed(triangle, bk_lane3(&sample.point.direction, 0),
-                                       bk_sample_skew(params, patch, samples, index)));
-            sample.ray = (*ray)++;
-            take(tracing, &sample, into);
-        }
-}
-
-/* Calls `take` for the samples of a row of squares that lie in a triangle: square by square, and
- * line by line in each. Their rays are numbered from *ray on, with gaps between squares. row: of
- * the first texels. samples: of the patch. */
-static inline void each_sample_of_row(struct tracing *tracing, const struct bk_patch *patch,
-                                      const uint32_t *samples, uint32_t row, uint64_t *ray,
-                                      take_sample_fn *take, void *into)
-{
-    const uint32_t n = tracing->patches->params->samples, side = square_side(tracing);
-    const uint32_t rows = side < patch->height - row ? side : patch->height - row;
-    for (uint32_t column = 0; column < patch->width; column += side) {
-        const uint32_t end = side < patch->width - column ? column + side : patch->width;
-        *ray = next_bundle(*ray);
-        for (uint32_t line = 0; line < rows * n; line++)
-            each_sample_of_line(tracing, patch, samples, row * n + line, column, end,
-                                line / n * patch->width, ray, take, into);
-    }
-}
-
-/* Calls `take` for each sample of a patch that lies in a triangle. ray: number of the first one's.
- */
-static inline int each_sample(struct tracing *tracing, uint32_t index, uint64_t ray,
-                              unsigned number, take_sample_fn *take, void *into)
-{
-    const struct bk_patch patch = bake_raster_patch(tracing->patches->raster, index);
-    uint32_t *samples = tracing->workers.workers[number].sample_triangles;
-    uint64_t overlaps;
-    int status = bake_raster_fill(tracing->patches->raster, index, samples, &overlaps);
-    for (uint32_t row = 0; row < patch.height && status == 0; row += square_side(tracing))
-        each_sample_of_row(tracing, &patch, samples, row, &ray, take, into);
-    return status;
-}
-
-static void cast_sample(struct tracing *tracing, const struct sample *sample, void *into)
-{
-    (void)into;
-    const bk_start start = bk_start_at(tracing->patches->params, &sample->point);
-    tracing->rays[sample->ray] =
-        (struct bake_ray){{start.origin.x, start.origin.y, start.origin.z},
-                          {start.direction.x, start.direction.y, start.direction.z}};
-    tracing->reaches[sample->ray] = start.reach * tracing->patches->params->unit;
-    if (tracing->footprints)
-        tracing->footprints[sample->ray] = sample->triangle;
-    if (tracing->objects)
-        tracing->objects[sample->ray] = tracing->object_of[sample->triangle];
-    if (tracing->shares)
-        tracing->shares[sample->ray] =
-            bk_sample_share(sample->x, sample->y, tracing->patches->params->samples);
-}
-
-/* Writes the rays of a patch to its seat, one that does not wait. The rest have no direction. */
-static int cast_patch(void *arg, uint64_t index, unsigned number)
-{
-    struct tracing *tracing = arg;
-    const uint64_t seat = tracing->waiting + index, begin = seat * tracing->seat_rays;
-    memset(tracing->rays + begin, 0, tracing->seat_rays * sizeof *tracing->rays);
-    memset(tracing->reaches + begin, 0, tracing->seat_rays * sizeof *tracing->reaches);
-    if (tracing->objects)
-        memset(tracing->objects + begin, 0, tracing->seat_rays * sizeof *tracing->objects);
-    return each_sample(tracing, tracing->seated[seat].index, begin, number, cast_sample, NULL);
 }
 
 static void measure_footprints(const struct tracing *tracing)
@@ -204,91 +49,6 @@ static void measure_footprints(const struct tracing *tracing)
                     (triangle->b1[s] * (triangle->position[1][k] - triangle->position[0][k]) +
                      triangle->b2[s] * (triangle->position[2][k] - triangle->position[0][k]));
     }
-}
-
-/* ---- hits to texels ---- */
-
-/* Turns the hit of a ray into a hit for maps. */
-static bk_map_hits place_hit(const struct tracing *tracing, const bk_point *point,
-                             const struct bake_hit *hit)
-{
-    const bk_hits hits = {.found = hit->triangle != BAKE_NO_HIT,
-                          .reversed = hit->reversed,
-                          .t = (float)(hit->t * tracing->units_a_length),
-                          .normal = {hit->normal[0], hit->normal[1], hit->normal[2]},
-                          .color = {hit->color[0], hit->color[1], hit->color[2]},
-                          .id = (bk_int)hit->id};
-    const bk_start start = bk_start_at(tracing->patches->params, point);
-    bk_map_hits placed;
-    bk_hits_for_maps(tracing->patches->params, point, &start, &hits, &placed);
-    return placed;
-}
-
-/* Returns the number of values that transfer maps have of a hit. */
-static uint64_t transfer_floats(const struct tracing *tracing)
-{
-    return (uint64_t)BK_TRANSFER_VALUES * bk_transfers(tracing->patches->params->maps);
-}
-
-/* Sets the confidence in a sample's hit. */
-static void set_confidence(const struct tracing *tracing, const struct sample *sample,
-                           bk_map_hits *placed)
-{
-    const struct bk_params *params = tracing->patches->params;
-    const struct bake_hit *hit = &tracing->hits[sample->ray],
-                          *beside = &tracing->next_hits[sample->ray];
-    const bk_start start = bk_start_at(params, &sample->point);
-    const bk_hits hits = {.t = (float)(hit->t * tracing->units_a_length), .normal = placed->normal};
-    const float way = (float)(beside->t * tracing->units_a_length), t = hits.t + way;
-    const bool other = beside->triangle != BAKE_NO_HIT && t >= -params->back && t <= start.t_max;
-    bk_set_confidence(params, &start, &hits, other ? fabsf(way) : BK_FAR, placed);
-}
-
-/* Adds a sample to its texel. into: the texels of its row of squares. */
-static void add_sample(struct tracing *tracing, const struct sample *sample, void *into)
-{
-    const struct bk_params *params = tracing->patches->params;
-    float *texel = (float *)into + sample->texel * (uint64_t)tracing->workers.texel_floats;
-    bk_map_hits placed = place_hit(tracing, &sample->point, &tracing->hits[sample->ray]);
-    if (tracing->next_hits)
-        set_confidence(tracing, sample, &placed);
-    if (tracing->look)
-        bk_surroundings_for_maps(params, &sample->point, &tracing->surroundings[sample->ray],
-                                 &placed);
-    bk_add_sample(params, &placed, 0, texel);
-    if (tracing->channels && placed.found)
-        bk_add_transfers(params->maps, tracing->channels + sample->ray * transfer_floats(tracing),
-                         texel);
-}
-
-/* Sums and resolves the patch of a seat, one that does not wait, and writes it to the image. */
-static int resolve_patch(void *arg, uint64_t index, unsigned number)
-{
-    struct tracing *tracing = arg;
-    struct bake_patch_worker *worker = &tracing->workers.workers[number];
-    const uint32_t seat = tracing->waiting + (uint32_t)index,
-                   patch_index = tracing->seated[seat].index;
-    const struct bk_patch patch = bake_raster_patch(tracing->patches->raster, patch_index);
-    uint64_t overlaps, next = seat * tracing->seat_rays;
-    int status = bake_raster_fill(tracing->patches->raster, patch_index, worker->sample_triangles,
-                                  &overlaps);
-    worker->overlaps += overlaps;
-    if (status < 0)
-        return status;
-    for (uint32_t row = 0; row < patch.height; row += square_side(tracing)) {
-        const uint32_t left = patch.height - row,
-                       rows = left < square_side(tracing) ? left : square_side(tracing);
-        const uint32_t texels = rows * patch.width;
-        memset(worker->texels, 0,
-               (uint64_t)texels * tracing->workers.texel_floats * sizeof *worker->texels);
-        /* Each texel gets its samples in the same order as in the kernel. */
-        each_sample_of_row(tracing, &patch, worker->sample_triangles, row, &next, add_sample,
-                           worker->texels);
-        bake_patch_worker_resolve(&tracing->workers, worker, texels,
-                                  worker->resolved +
-                                      (size_t)row * patch.width * tracing->workers.channels);
-    }
-    return bake_image_write_patch(tracing->patches->image, &patch, worker->resolved);
 }
 
 /* ---- secondary rays ---- */
@@ -335,22 +95,6 @@ static int patches_look_around(struct tracing *tracing, const struct bake_surfac
 
 /* ---- ordering ---- */
 
-/* Grows the box of a patch by the way of a sample's ray. */
-static void bound_sample(struct tracing *tracing, const struct sample *sample, void *into)
-{
-    const bk_start start = bk_start_at(tracing->patches->params, &sample->point);
-    const float origin[3] = {start.origin.x, start.origin.y, start.origin.z};
-    const float direction[3] = {start.direction.x, start.direction.y, start.direction.z};
-    const float front = tracing->patches->params->front, back = tracing->patches->params->back;
-    struct patch *patch = into;
-    for (int k = 0; k < 3; k++) {
-        const float a = origin[k] + front * direction[k], b = origin[k] - back * direction[k];
-        const float low = a < b ? a : b, high = a < b ? b : a;
-        patch->low[k] = low < patch->low[k] ? low : patch->low[k];
-        patch->high[k] = high > patch->high[k] ? high : patch->high[k];
-    }
-}
-
 /* Sets the first and the last chunk that a patch may need, of those from `from` on. Both are 0 if
  * there is none. */
 static void set_chunks(const struct tracing *tracing, uint32_t from, struct patch *patch)
@@ -362,26 +106,26 @@ static void set_chunks(const struct tracing *tracing, uint32_t from, struct patc
 }
 
 /* Finds out where a patch comes in the order of patches. */
-static int bound_patch(void *arg, uint64_t index, unsigned number)
+static int order_patch(void *arg, uint64_t index, unsigned number)
 {
     struct tracing *tracing = arg;
-    struct patch patch = {.index = (uint32_t)index,
-                          .low = {INFINITY, INFINITY, INFINITY},
-                          .high = {-INFINITY, -INFINITY, -INFINITY}};
-    const int status = each_sample(tracing, (uint32_t)index, 0, number, bound_sample, &patch);
+    struct patch *patch = &tracing->order[index];
+    patch->index = (uint32_t)index;
+    BSQ_PASS(BSQ_SIMD_PICK(tracing->simd, bake_bound_patch)(tracing, index, number));
     float middle[3];
     for (int k = 0; k < 3; k++) {
-        const float slack = BOX_SLACK * fmaxf(fabsf(patch.low[k]), fabsf(patch.high[k]));
-        middle[k] = 0.5f * (patch.low[k] + patch.high[k]);
-        patch.low[k] -= slack;
-        patch.high[k] += slack;
+        const float slack = BOX_SLACK * fmaxf(fabsf(patch->low[k]), fabsf(patch->high[k]));
+        middle[k] = 0.5f * (patch->low[k] + patch->high[k]);
+        patch->low[k] -= slack;
+        patch->high[k] += slack;
     }
-    if (tracing->sweep)
-        set_chunks(tracing, 0, &patch);
-    else
-        patch.first = (uint32_t)(bake_surface_curve_index(tracing->surface, middle) >> 2);
-    tracing->order[index] = patch;
-    return status;
+    if (tracing->sweep) {
+        set_chunks(tracing, 0, patch);
+        return 0;
+    }
+    patch->first = (uint32_t)(bake_surface_curve_index(tracing->surface, middle) >> 2);
+    patch->last = 0;
+    return 0;
 }
 
 static int compare_patches(const void *a, const void *b)
@@ -400,7 +144,7 @@ static int order_patches(struct tracing *tracing)
             tracing->order[i] = (struct patch){.index = i};
         return 0;
     }
-    int status = bsq_parallel_for(tracing->ctx, tracing->patch_count, bound_patch, tracing);
+    int status = bsq_parallel_for(tracing->ctx, tracing->patch_count, order_patch, tracing);
     if (status == 0)
         bsq_sort(tracing->order, tracing->patch_count, sizeof *tracing->order, compare_patches);
     return status;
@@ -472,7 +216,7 @@ static void swap_bytes(void *a, void *b, size_t size)
 /* Exchanges the patches of two seats. */
 static void exchange_seats(const struct tracing *tracing, uint32_t a, uint32_t b)
 {
-    const uint64_t n = tracing->seat_rays, x = a * n, y = b * n, floats = transfer_floats(tracing);
+    const uint64_t n = tracing->seat_rays, x = a * n, y = b * n, values = transfer_floats(tracing);
     const struct patch patch = tracing->seated[a];
     tracing->seated[a] = tracing->seated[b];
     tracing->seated[b] = patch;
@@ -483,8 +227,8 @@ static void exchange_seats(const struct tracing *tracing, uint32_t a, uint32_t b
         swap_bytes(tracing->footprints + x, tracing->footprints + y,
                    n * sizeof *tracing->footprints);
     if (tracing->channels)
-        swap_bytes(tracing->channels + x * floats, tracing->channels + y * floats,
-                   n * floats * sizeof *tracing->channels);
+        swap_bytes(tracing->channels + x * values, tracing->channels + y * values,
+                   n * values * sizeof *tracing->channels);
 }
 
 /* Moves patches that need no chunk before `end` from seats [first, last) to the first ones of
@@ -561,8 +305,8 @@ static int run_batch(struct tracing *tracing)
     rays.batch.progress = first_texels;
     rays.batch.first_chunk = tracing->seated[tracing->waiting].first;
     rays.batch.end_chunk = end;
-    BSQ_PASS(
-        bsq_parallel_for(tracing->ctx, tracing->taken - tracing->waiting, cast_patch, tracing));
+    BSQ_PASS(bsq_parallel_for(tracing->ctx, tracing->taken - tracing->waiting,
+                              BSQ_SIMD_PICK(tracing->simd, bake_cast_patch), tracing));
     BSQ_PASS(bake_surface_trace(surface, &rays));
     BSQ_PASS(bake_surface_check(surface));
     keep_waiting(tracing, idle, end);
@@ -573,8 +317,8 @@ static int run_batch(struct tracing *tracing)
         BSQ_PASS(patches_look_around(tracing, &rays, texels - first_texels));
     if (tracing->next_hits)
         BSQ_PASS(look_beside(tracing, &rays));
-    return bsq_parallel_for(tracing->ctx, tracing->taken - tracing->waiting, resolve_patch,
-                            tracing);
+    return bsq_parallel_for(tracing->ctx, tracing->taken - tracing->waiting,
+                            BSQ_SIMD_PICK(tracing->simd, bake_resolve_patch), tracing);
 }
 
 static int run_batches(struct tracing *tracing)
@@ -675,6 +419,7 @@ int bake_trace_ray_patches(const struct bake_surface *surface, const struct bake
                            const uint32_t *object_of, struct bake_report *report)
 {
     struct tracing tracing = {.ctx = surface->ctx,
+                              .simd = bsq_simd_best(),
                               .surface = surface,
                               .patches = patches,
                               .object_of = object_of,
