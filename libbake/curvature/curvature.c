@@ -47,7 +47,6 @@ struct work {
     uint64_t most; /* texels that are traced together */
     /* Of these texels, which follow each other in the image: */
     float *texels;
-    uint32_t *objects;    /* NULL if all see all scans */
     struct probe *probes; /* PROBES a texel */
     /* Probes that have found nothing, and the rays of some of them: one, or two that lean outwards
      * and inwards. */
@@ -151,8 +150,10 @@ static int cast_probes(void *arg, uint64_t begin, uint64_t end, unsigned worker)
     for (uint64_t i = begin * each; i < end * each; ++i) {
         const uint32_t probe = task->probes[i / each];
         work->rays[i] = probe_ray(work, probe, each == 1 ? 0.0f : i & 1 ? -1.0f : 1.0f);
-        if (work->objects)
-            work->ray_objects[i] = work->objects[probe / PROBES];
+        if (work->ray_objects)
+            memcpy(&work->ray_objects[i],
+                   work->texels + (probe / PROBES + UINT64_C(1)) * work->channels - 1,
+                   sizeof *work->ray_objects);
     }
     return 0;
 }
@@ -272,25 +273,7 @@ static int trace_texels(struct work *work, uint64_t texels)
     return 0;
 }
 
-/* Traces rows on all threads together: all at once, or parts of the only row. */
-static int trace_band(void *arg, uint32_t first_row, uint32_t rows, float *texels)
-{
-    struct work *work = arg;
-    const struct bake_curvature *curvature = work->curvature;
-    const uint32_t width = curvature->image->width;
-    const uint32_t most = work->most < width ? (uint32_t)work->most : width;
-    for (uint32_t x = 0; x < width; x += most) {
-        const uint32_t columns = width - x < most ? width - x : most;
-        work->texels = texels + (size_t)x * work->channels;
-        if (work->objects)
-            BSQ_PASS(curvature->objects(curvature->objects_arg, x, first_row, columns, rows,
-                                        work->objects));
-        BSQ_PASS(trace_texels(work, (uint64_t)columns * rows));
-    }
-    return 0;
-}
-
-/* Rows whose texels each worker traces by itself. */
+/* Rows of the image. */
 struct band {
     struct work *works;
     float *texels;
@@ -304,13 +287,20 @@ static int trace_part(void *arg, uint64_t begin, uint64_t end, unsigned worker)
     return trace_texels(work, end - begin);
 }
 
-static int trace_band_in_parts(void *arg, uint32_t first_row, uint32_t rows, float *texels)
+/* Traces rows in parts: each worker by itself with a device, else all together one after the other.
+ */
+static int trace_band(void *arg, uint32_t first_row, uint32_t rows, float *texels)
 {
     struct band band = {arg, texels};
+    const struct work *work = band.works;
+    const uint64_t count = (uint64_t)work->curvature->image->width * rows;
+    int status = 0;
     (void)first_row;
-    return bsq_parallel_ranges(band.works->ctx,
-                               (uint64_t)band.works->curvature->image->width * rows,
-                               band.works->most, trace_part, &band);
+    if (work->curvature->device)
+        return bsq_parallel_ranges(work->ctx, count, work->most, trace_part, &band);
+    for (uint64_t at = 0; at < count && status == 0; at += work->most)
+        status = trace_part(&band, at, count - at < work->most ? count : at + work->most, 0);
+    return status;
 }
 
 /* ---- memory ---- */
@@ -326,9 +316,8 @@ static int curvature_allocate(struct work *work, uint64_t most)
     BSQ_PASS(BSQ_ALLOC(ctx, "hits", rays, &work->hits));
     BSQ_PASS(BSQ_ALLOC(ctx, "points", rays, &work->probes));
     BSQ_PASS(BSQ_ALLOC(ctx, "points", rays, &work->listed));
-    if (!work->curvature->objects)
+    if (!work->curvature->by_objects)
         return 0;
-    BSQ_PASS(BSQ_ALLOC(ctx, "objects of texels", work->most, &work->objects));
     return BSQ_ALLOC(ctx, "objects of rays", rays, &work->ray_objects);
 }
 
@@ -343,7 +332,10 @@ int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *curva
     if (device && rays > bake_device_most_rays(device))
         rays = bake_device_most_rays(device);
     const uint64_t most = rays < PROBES ? 1 : rays / PROBES < all ? rays / PROBES : all;
-    const uint64_t rows = device ? UINT32_MAX : most / curvature->image->width;
+    const uint32_t width = curvature->image->width, rows = device ? UINT32_MAX
+                                                           : most < width
+                                                               ? 1
+                                                               : (uint32_t)(most / width);
     struct work *work;
     int status;
     bsq_progress_begin(ctx, "measuring curvature", "texels", all);
@@ -352,18 +344,14 @@ int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *curva
         work[w] = (struct work){.ctx = ctx, .curvature = curvature, .worker = w};
         BSQ_TRY(curvature_allocate(&work[w], most));
     }
-    status = bake_image_bands(ctx, curvature->image,
-                              rows < 1            ? 1
-                              : rows < UINT32_MAX ? (uint32_t)rows
-                                                  : UINT32_MAX,
-                              true, device ? trace_band_in_parts : trace_band, work);
+    status = bake_image_bands(ctx, curvature->image, rows, true, trace_band, work);
 done:
     bsq_progress_end(ctx);
     for (unsigned w = 0; work && w < works; w++) {
         counts->texels += work[w].counts.texels;
         counts->alone += work[w].counts.alone;
-        BSQ_FREE(ctx, work[w].ray_objects, work[w].objects, work[w].listed, work[w].probes,
-                 work[w].hits, work[w].rays);
+        BSQ_FREE(ctx, work[w].ray_objects, work[w].listed, work[w].probes, work[w].hits,
+                 work[w].rays);
     }
     bsq_free(ctx, work);
     return status;

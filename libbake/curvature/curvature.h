@@ -12,18 +12,14 @@
 #include "libbake/surface/surface.h"
 #include "libbake/udim/udim.h"
 
-/* Writes the objects of the texels of a part of the image, in row order. Errors end the work. */
-typedef int bake_texel_objects(const void *arg, uint32_t x, uint32_t y, uint32_t width,
-                               uint32_t height, uint32_t *out);
-
 struct bake_curvature {
     const struct bake_surface *surface;
     struct bake_image *image;
     uint32_t offset; /* of the map's first value in a texel of the image */
     double radius;   /* of the neighbourhood, in world units */
-    /* Gives the objects of texels, if surface->sees tells which scans they see; else NULL. */
-    bake_texel_objects *objects;
-    const void *objects_arg;
+    /* The last value of a texel has the bits of its object's number, as surface->sees tells which
+     * scans objects see. */
+    bool by_objects;
     /* Of a surface that is a single grid, the device that traces it; NULL: the processor does. */
     struct bake_device *device;
 };

@@ -145,8 +145,9 @@ int bake_check_outputs(struct bake_job *job);
 /* Prepares for the files, which are created when they are written. */
 int bake_open_outputs(struct bake_job *job);
 /* Creates the image of a tile, which takes at most `memory_bytes`, or is in a temporary file.
- * Errors: those of bake_image_create(). */
-int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t memory_bytes);
+ * objects: with a value more for the object of each texel. Errors: those of bake_image_create(). */
+int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, bool objects,
+                           uint64_t memory_bytes);
 /* Measures the values of all tiles, since they share the ranges of the maps. */
 int bake_measure_maps(struct bake_job *job);
 /* Encodes and writes all maps under temporary names. */

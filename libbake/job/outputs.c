@@ -177,13 +177,14 @@ static int create_thumbnails(struct bsq_ctx *ctx, struct bake_tile *tile, uint32
     return bake_thumbnail_of_missed(ctx, tile->image, side, &tile->missed);
 }
 
-int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t memory_bytes)
+int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, bool objects,
+                           uint64_t memory_bytes)
 {
     const struct bake_blocks *blocks = &tile->blocks;
     const struct bake_image_options image = {
         .width = tile->in_blocks ? blocks->side : tile->options.width,
         .height = tile->in_blocks ? blocks->side * blocks->count : tile->options.height,
-        .channels = bake_image_channels_for(tile->maps),
+        .channels = bake_image_channels_for(tile->maps) + objects,
         .memory_bytes = memory_bytes,
         .beside = tile->beside,
         .blocks = tile->in_blocks ? blocks : NULL};

@@ -160,11 +160,11 @@ struct writing {
 static int copy_block_row(const struct writing *writing, uint32_t place, uint32_t y, uint32_t width,
                           float *to)
 {
+    const struct bake_image *image = writing->tile->image;
     const uint32_t side = writing->tile->blocks.side, channels = writing->channels->count;
     const float *texels;
-    int status =
-        bake_image_rows(writing->tile->image, place * side + y, 1, writing->block_row, &texels);
-    for (uint32_t x = 0; x < width && status == 0; x++, texels += channels, to += channels) {
+    int status = bake_image_rows(image, place * side + y, 1, writing->block_row, &texels);
+    for (uint32_t x = 0; x < width && status == 0; x++, texels += image->channels, to += channels) {
         memset(to, 0, channels * sizeof *to);
         memcpy(to, texels, (texels[0] != BAKE_OUTSIDE ? channels : 1) * sizeof *to);
     }
@@ -232,7 +232,8 @@ int bake_part_write(const struct bake_job *job, const struct bake_channels *chan
     int status;
     BSQ_TRY(path ? 0 : bsq_fail(ctx, BSQ_ENOMEM, "a part: out of memory"));
     BSQ_TRY(bsq_alloc(ctx, "rows of a part", box->x_end - box->x, texel, &writing.row));
-    BSQ_TRY(bsq_alloc(ctx, "rows of a part", writing.tile->blocks.side, texel, &writing.block_row));
+    BSQ_TRY(bsq_alloc(ctx, "rows of a part", writing.tile->blocks.side,
+                      writing.tile->image->texel_bytes, &writing.block_row));
     expect_texts(job, number, job->options->part, &texts);
     write_counts(counts, texts.of[BAKE_PART_COUNTS]);
     BSQ_TRY(write_image(&writing, path, &texts, &writer));

@@ -368,7 +368,7 @@ static int read_tile(struct tile_parts *of, uint64_t memory_bytes)
     struct bake_tile *tile = &job->tiles[of->tile];
     int status;
     BSQ_TRY(list_parts(of));
-    BSQ_TRY(bake_tile_create_image(job->ctx, tile, memory_bytes));
+    BSQ_TRY(bake_tile_create_image(job->ctx, tile, false, memory_bytes));
     bsq_progress_begin(job->ctx, "reading parts", "parts", of->count);
     status = bsq_parallel_for(job->ctx, of->count, parts_read_one, of);
     bsq_progress_end(job->ctx);

@@ -142,13 +142,18 @@ static int fail_without_hit(const struct bake_job *job)
                                         "if the scan's faces are wound inwards");
 }
 
-/* Traces all samples of a tile into its image. Frees the raster, unless curvature needs objects of
- * texels. */
+/* Returns whether curvature must know the objects of texels, as these see some scans only. */
+static bool keeps_objects(const struct bake_job *job)
+{
+    return job->sees && job->surface.scan_count > 1 && job->maps & BAKE_MAP_CURVATURE;
+}
+
+/* Traces all samples of a tile into its image, and frees its raster. */
 static int trace_tile(const struct bake_job *job, struct bake_tile *tile, uint64_t memory_bytes)
 {
     const bool several = job->surface.scan_count > 1;
     const uint32_t *objects = job->sees && several ? job->mesh.object_of : NULL;
-    BSQ_PASS(bake_tile_create_image(job->ctx, tile, memory_bytes));
+    BSQ_PASS(bake_tile_create_image(job->ctx, tile, keeps_objects(job), memory_bytes));
     const struct bake_patches patches = {.raster = tile->raster,
                                          .triangles = job->triangles,
                                          .triangle_count = job->triangle_count,
@@ -159,10 +164,8 @@ static int trace_tile(const struct bake_job *job, struct bake_tile *tile, uint64
     int status = job->traced.grid
                      ? bake_trace_grid_patches(&job->surface, job->device, &patches, job->report)
                      : bake_trace_ray_patches(&job->surface, &patches, objects, job->report);
-    if (!job->sees || !(tile->maps & BAKE_MAP_CURVATURE)) {
-        bake_raster_free(tile->raster);
-        tile->raster = NULL;
-    }
+    bake_raster_free(tile->raster);
+    tile->raster = NULL;
     return status;
 }
 
@@ -190,67 +193,6 @@ int bake_check_hits(struct bake_job *job)
 
 /* ---- curvature ---- */
 
-#define NO_OBJECT UINT32_MAX
-
-/* A tile whose texels curvature asks for their objects. */
-struct seen_tile {
-    const struct bake_job *job;
-    const struct bake_tile *tile;
-};
-
-/* A part of a tile's image whose objects are wanted. The raster is filled again for it: objects of
- * all texels would need memory that grows with the map. */
-struct window {
-    const struct bake_job *job;
-    const struct bake_tile *tile;
-    uint32_t x, y, width, height; /* texels of the image */
-    uint32_t *objects;            /* of its texels, NO_OBJECT until one is known */
-};
-
-/* Takes the samples of a patch, if it overlaps the window. */
-static int take_samples(const struct window *window, uint32_t index, uint32_t *triangles)
-{
-    const struct bake_tile *tile = window->tile;
-    const uint32_t n = tile->options.samples;
-    struct bk_patch patch = bake_raster_patch(tile->raster, index);
-    uint64_t overlapping;
-    if (tile->in_blocks)
-        bake_blocks_to_image(&tile->blocks, &patch.x, &patch.y);
-    if (patch.x >= window->x + window->width || patch.x + patch.width <= window->x ||
-        patch.y >= window->y + window->height || patch.y + patch.height <= window->y)
-        return 0;
-    int status = bake_raster_fill(tile->raster, index, triangles, &overlapping);
-    for (uint64_t i = 0; i < (uint64_t)patch.width * n * patch.height * n && status == 0; i++) {
-        const uint32_t column = patch.x + (uint32_t)(i % (patch.width * n)) / n - window->x;
-        const uint32_t row = patch.y + (uint32_t)(i / (patch.width * n)) / n - window->y;
-        if (triangles[i] == BK_NO_TRIANGLE || column >= window->width || row >= window->height)
-            continue; /* before the window, numbers have wrapped around */
-        uint32_t *object = &window->objects[(uint64_t)row * window->width + column];
-        if (*object == NO_OBJECT)
-            *object = window->job->mesh.object_of[triangles[i]];
-    }
-    return status;
-}
-
-/* Writes the object of each texel of a part of the tile's image: that of its first sample in a
- * triangle. */
-static int objects_of(const void *arg, uint32_t x, uint32_t y, uint32_t width, uint32_t height,
-                      uint32_t *out)
-{
-    const struct seen_tile *of = arg;
-    const struct window window = {of->job, of->tile, x, y, width, height, out};
-    const uint64_t texels = (uint64_t)of->tile->patch_side * of->tile->patch_side;
-    uint32_t *triangles;
-    memset(out, 0xff, (size_t)width * height * sizeof *out);
-    int status =
-        BSQ_ALLOC(of->job->ctx, "samples of a patch",
-                  texels * bake_raster_texel_entries(&of->job->surface.params), &triangles);
-    for (uint32_t i = 0; i < bake_raster_patch_count(of->tile->raster) && status == 0; i++)
-        status = take_samples(&window, i, triangles);
-    bsq_free(of->job->ctx, triangles);
-    return status;
-}
-
 void bake_choose_radius(struct bake_job *job)
 {
     const double given = job->options->curvature_radius;
@@ -266,15 +208,13 @@ int bake_trace_curvature(struct bake_job *job)
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
         if (!job->tiles[i].image)
             continue;
-        const struct seen_tile tile = {job, &job->tiles[i]};
-        const struct bake_curvature curvature = {
-            .surface = &job->surface,
-            .image = job->tiles[i].image,
-            .offset = bake_map_offset(job->maps, BK_MAP_curvature),
-            .radius = job->measures.curvature_radius,
-            .objects = job->sees && job->tiles[i].raster ? objects_of : NULL,
-            .objects_arg = &tile,
-            .device = job->traced.grid ? job->device : NULL};
+        const struct bake_curvature curvature = {.surface = &job->surface,
+                                                 .image = job->tiles[i].image,
+                                                 .offset =
+                                                     bake_map_offset(job->maps, BK_MAP_curvature),
+                                                 .radius = job->measures.curvature_radius,
+                                                 .by_objects = keeps_objects(job),
+                                                 .device = job->traced.grid ? job->device : NULL};
         status = bake_curvature_trace(job->ctx, &curvature, &job->curvature);
     }
     return status < 0

@@ -256,9 +256,11 @@ struct bake_patches {
     const struct bk_triangle *triangles; /* of the low-poly mesh */
     uint32_t triangle_count;
     const struct bk_params *params;
-    struct bake_image *image; /* of bake_image_channels_for(params->maps) channels */
-    uint32_t patch_side;      /* side in texels */
-    struct bake_seen *seen;   /* what the rays reach (libbake/surface/); NULL: it is not wanted */
+    /* Of bake_image_channels_for(params->maps) channels, or of one more: the object of each texel,
+     * as bits. */
+    struct bake_image *image;
+    uint32_t patch_side;    /* side in texels */
+    struct bake_seen *seen; /* what the rays reach (libbake/surface/); NULL: it is not wanted */
 };
 
 /* Returns a side for patches: large if there is work for all threads, small if memory is short.
@@ -269,7 +271,7 @@ uint32_t bake_patch_side(struct bsq_ctx *ctx, uint32_t width, uint32_t height, u
 /* Buffers of one worker for one patch, and its counts for the report. */
 struct bake_patch_worker {
     uint32_t *sample_triangles; /* of a patch, as bake_raster_fill() writes them */
-    float *texels;              /* sums, bk_texel_floats() each */
+    float *texels;              /* sums, texel_floats each */
     float *resolved;            /* image channels of a patch's texels */
     uint64_t covered_texels, samples, hits, overlaps;
 };
@@ -278,6 +280,7 @@ struct bake_patch_workers {
     struct bake_patch_worker *workers; /* one a thread; NULL: none yet */
     uint32_t channels;                 /* of the image */
     uint32_t texel_floats;
+    uint32_t more; /* of these at the end, which the image has too */
     uint32_t maps; /* bits of enum bake_map */
 };
 

@@ -1,4 +1,6 @@
 /* patches.c - patch size, workers and resolving of a map's patches, for grids and for triangles. */
+#include <string.h>
+
 #include "base/parallel.h"
 #include "libbake/maps/maps.h"
 
@@ -42,9 +44,10 @@ int bake_patch_workers_begin(struct bsq_ctx *ctx, const struct bake_patches *pat
 {
     const uint64_t texels = (uint64_t)patches->patch_side * patches->patch_side;
     const uint32_t maps = patches->params->maps;
-    *out = (struct bake_patch_workers){.channels = bake_image_channels_for(maps),
-                                       .texel_floats = bk_texel_floats(maps),
-                                       .maps = maps};
+    *out = (struct bake_patch_workers){
+        .channels = patches->image->channels, .texel_floats = bk_texel_floats(maps), .maps = maps};
+    out->more = out->channels - bake_image_channels_for(maps);
+    out->texel_floats += out->more;
     bsq_progress_begin(ctx, "tracing", "texels", map_patches_count_texels(patches->raster));
     BSQ_PASS(BSQ_CALLOC(ctx, "workers", bsq_threads(ctx), &out->workers));
     for (unsigned w = 0; w < bsq_threads(ctx); w++) {
@@ -60,8 +63,9 @@ int bake_patch_workers_begin(struct bsq_ctx *ctx, const struct bake_patches *pat
     return 0;
 }
 
-/* Writes a texel of the image: its share of hits and the values of the selected maps. */
-static void resolve_texel(const float *texel, uint32_t maps, float *out)
+/* Writes a texel of the image: its share of hits, the values of the selected maps, and `more`
+ * values that stay as they are. */
+static void resolve_texel(const float *texel, uint32_t maps, uint32_t more, float *out)
 {
     const float covered = texel[BK_COVERED], hits = texel[BK_HITS];
     const float weight = hits > 0 ? 1.0f / hits : 0.0f;
@@ -79,8 +83,10 @@ static void resolve_texel(const float *texel, uint32_t maps, float *out)
         }
         sums += bake_map_sums[i];
     }
-    for (uint32_t i = 0; i < BK_TRANSFER_VALUES * bk_transfers(maps); ++i)
+    const uint32_t transfers = BK_TRANSFER_VALUES * bk_transfers(maps);
+    for (uint32_t i = 0; i < transfers; ++i)
         out[i] = sums[i] * weight;
+    memcpy(out + transfers, sums + transfers, more * sizeof *out);
 }
 
 void bake_patch_worker_resolve(const struct bake_patch_workers *workers,
@@ -91,7 +97,7 @@ void bake_patch_worker_resolve(const struct bake_patch_workers *workers,
         worker->covered_texels += texel[BK_COVERED] > 0;
         worker->samples += (uint64_t)texel[BK_COVERED];
         worker->hits += (uint64_t)texel[BK_HITS];
-        resolve_texel(texel, workers->maps, out);
+        resolve_texel(texel, workers->maps, workers->more, out);
     }
 }
 
