@@ -47,15 +47,6 @@ struct bake_map_files {
 
 /* ---- formats ---- */
 
-/* Returns the suffix of a format that stores one of these sample types. */
-static const char *suffix_for(uint32_t sample_types)
-{
-    const struct fmt_image_format *const *format = fmt_image_formats;
-    while (format[1] && !((*format)->sample_types & sample_types))
-        ++format;
-    return (*format)->suffix;
-}
-
 /* Returns the sample type that the options name, else the map's usual one if the format stores it,
  * else the format's. */
 static enum fmt_sample_type choose_type(const struct bake_options *options,
@@ -78,26 +69,15 @@ static int maps_choose_format(struct bsq_ctx *ctx, const struct bake_options *op
                               unsigned number, const struct fmt_image_format **format,
                               enum fmt_sample_type *type)
 {
-    const struct bake_map_row *row = bake_row_of(options, number);
     const char *path = options->output_path;
     *format = fmt_image_format_of(path);
     if (!*format)
         return bsq_fail(ctx, BSQ_EUSAGE,
                         "%s: maps are OpenEXR or PNG files: the name must end in .exr or .png",
                         path);
-    if (row->sample_types && !(row->sample_types & (*format)->sample_types))
-        return bsq_fail(
-            ctx, BSQ_EUSAGE, "%s: %s files cannot hold a %s map: the name must end in %s", path,
-            (*format)->name, bake_name_of(options, number), suffix_for(row->sample_types));
-    *type = choose_type(options, row->usual_type, *format);
-    int status = fmt_image_check_type(ctx, *format, path, *type);
-    if (status == 0)
-        status = fmt_image_check_tiles(ctx, *format, path, options->exr_tile_side);
-    if (status == 0 && row->sample_types && !(row->sample_types & FMT_SAMPLE_BIT(*type)))
-        status =
-            bsq_fail(ctx, BSQ_EUSAGE, "%s: this sample type cannot hold the values of a %s map",
-                     path, bake_name_of(options, number));
-    return status;
+    *type = choose_type(options, bake_row_of(options, number)->usual_type, *format);
+    BSQ_PASS(fmt_image_check_type(ctx, *format, path, *type));
+    return fmt_image_check_tiles(ctx, *format, path, options->exr_tile_side);
 }
 
 /* Refuses tokens in small letters, which would become part of the files' names. */

@@ -77,13 +77,12 @@ struct bake_map_row {
     /* Floats that `resolve` writes, if more than `channels`; a later step reduces them to the first
      * `channels` values. 0: as many as channels. */
     uint32_t values;
-    bool by_default;       /* baked if no maps are named and the scan has the colours it needs */
-    bool needs_color;      /* from the scan */
-    bool needs_ids;        /* likewise */
-    bool color;            /* values are linear light; otherwise data, which is not transformed */
-    bool of_all;           /* samples that missed count as 0, and it is not dilated */
-    bool rounded;          /* samples of 8 bits are not dithered */
-    uint32_t sample_types; /* that can hold its values, FMT_SAMPLE_BIT() or-ed; 0: all */
+    bool by_default;  /* baked if no maps are named and the scan has the colours it needs */
+    bool needs_color; /* from the scan */
+    bool needs_ids;   /* likewise */
+    bool color;       /* values are linear light; otherwise data, which is not transformed */
+    bool of_all;      /* samples that missed count as 0, and it is not dilated */
+    bool rounded;     /* samples of 8 bits are not dithered */
     /* The sample type if none is asked for; BAKE_SAMPLE_USUAL: the usual type of the format. */
     enum bake_sample_type usual_type;
     /* Turns a texel's sums into its value; weight is 1 / hits. Returns false if the sums give no
