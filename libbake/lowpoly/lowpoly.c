@@ -52,9 +52,12 @@ struct array {
     size_t size;
 };
 
-enum { ARRAYS = 7 };
+enum {
+    ARRAYS = 8,
+    NAMED = 2 /* of these, the last ones, which are absent unless names are wanted */
+};
 
-/* Lists the arrays of a mesh. The last one is absent unless it is wanted. */
+/* Lists the arrays of a mesh. */
 static void list_arrays(struct bake_lowmesh *mesh, struct array out[ARRAYS])
 {
     out[0] = (struct array){"low-poly mesh positions", &mesh->positions, sizeof *mesh->positions};
@@ -64,7 +67,8 @@ static void list_arrays(struct bake_lowmesh *mesh, struct array out[ARRAYS])
     out[3] = (struct array){"low-poly mesh tangents", &mesh->tangents, sizeof *mesh->tangents};
     out[4] = (struct array){"ray directions", &mesh->directions, sizeof *mesh->directions};
     out[5] = (struct array){"reaches of rays", &mesh->reaches, sizeof *mesh->reaches};
-    out[6] = (struct array){"objects of triangles", &mesh->object_of, sizeof *mesh->object_of};
+    out[6] = (struct array){"names of triangles", &mesh->object_of, sizeof *mesh->object_of};
+    out[7] = (struct array){"names of triangles", &mesh->material_of, sizeof *mesh->material_of};
 }
 
 static char *start_of(const struct array *array)
@@ -93,26 +97,19 @@ static int replace_array(struct bsq_ctx *ctx, const struct array *array, const u
     return 0;
 }
 
-static int lowpoly_allocate(struct bsq_ctx *ctx, uint64_t count, struct bake_lowmesh *out)
+static int lowpoly_allocate(struct bsq_ctx *ctx, uint64_t count, bool named,
+                            struct bake_lowmesh *out)
 {
     struct array arrays[ARRAYS];
     list_arrays(out, arrays);
-    for (int i = 0; i < ARRAYS - 1; i++)
+    for (int i = 0; i < (named ? ARRAYS : ARRAYS - NAMED); i++)
         BSQ_PASS(replace_array(ctx, &arrays[i], NULL, count, 0, NULL));
     return 0;
 }
 
 /* ---- names ---- */
 
-/* Objects with one name are one object, also in several files. */
-
-/* The names in all files of a job, and those of each triangle. All zero at first. */
-struct names {
-    struct bsq_texts objects, materials;
-    struct bsq_tally tally; /* of these */
-    uint32_t (*of)[2];      /* of each triangle: numbers of its object and material */
-    uint64_t count, capacity;
-};
+/* Objects with one name are one object, also in several files: `all` has the names of all files. */
 
 /* Stands for the material of faces that have none. */
 #define NO_MATERIAL "none"
@@ -137,24 +134,25 @@ static bool is_named(const char *name)
 
 /* Enters the names of a material of a file and its object, or of faces without one if it is NULL.
  */
-static int enter_names(struct bsq_ctx *ctx, struct names *names, const char *stem,
+static int enter_names(struct bsq_ctx *ctx, struct bake_lowmesh *all, const char *stem,
                        const struct fmt_material *source, uint32_t numbers[2])
 {
     uint64_t number[2] = {0};
     const char *object = source && is_named(source->object) ? source->object : stem;
     const char *material = source && is_named(source->name) ? source->name : NO_MATERIAL;
-    int status = bsq_texts_add(ctx, &names->tally, &names->objects, object, &number[0]);
+    int status = bsq_texts_add(ctx, &all->names, &all->objects, object, &number[0]);
     if (status == 0)
-        status = bsq_texts_add(ctx, &names->tally, &names->materials, material, &number[1]);
+        status = bsq_texts_add(ctx, &all->names, &all->materials, material, &number[1]);
     numbers[0] = (uint32_t)number[0]; /* at most that of triangles */
     numbers[1] = (uint32_t)number[1];
     return status;
 }
 
-/* Adds the triangles of a file. numbers: space for one entry more than the file has materials.
+/* Names the triangles of a file. numbers: space for one entry more than the file has materials.
  * Names are entered when a triangle has them, so that empty objects do not count. */
-static int lowpoly_add_triangles(struct bsq_ctx *ctx, struct names *names, const char *stem,
-                                 const struct fmt_mesh *mesh, uint32_t (*numbers)[2])
+static int name_triangles(struct bsq_ctx *ctx, struct bake_lowmesh *all, const char *stem,
+                          const struct fmt_mesh *mesh, uint32_t (*numbers)[2],
+                          struct bake_lowmesh *out)
 {
     const uint32_t none = mesh->materials.count;
     int status = 0;
@@ -163,29 +161,28 @@ static int lowpoly_add_triangles(struct bsq_ctx *ctx, struct names *names, const
         const uint32_t named = mesh->face_materials[mesh->faces[t]],
                        material = named < none ? named : none;
         if (numbers[material][0] == UINT32_MAX)
-            status = enter_names(ctx, names, stem,
+            status = enter_names(ctx, all, stem,
                                  material < none ? &mesh->materials.list[material] : NULL,
                                  numbers[material]);
-        memcpy(names->of[names->count++], numbers[material], sizeof *names->of);
+        out->object_of[t] = numbers[material][0];
+        out->material_of[t] = numbers[material][1];
         if (t % 4096 == 0 && status == 0)
             status = bsq_check(ctx);
     }
     return status;
 }
 
-/* Adds the triangles of a file, which fmt_mesh_load() loaded. A triangle without an object belongs
- * to one with the file's name, without folder and suffix. */
-static int add_names(struct bsq_ctx *ctx, struct names *names, const char *path,
-                     const struct fmt_mesh *mesh)
+/* Sets the objects and materials of a file's triangles. A triangle without an object belongs to one
+ * with the file's name, without folder and suffix. */
+static int add_names(struct bsq_ctx *ctx, struct bake_lowmesh *all, const char *path,
+                     const struct fmt_mesh *mesh, struct bake_lowmesh *out)
 {
     char *stem = NULL;
     uint32_t(*numbers)[2] = NULL;
     int status = 0;
     BSQ_TRY(copy_stem(ctx, path, &stem));
     BSQ_TRY(BSQ_ALLOC(ctx, "names", mesh->materials.count + UINT64_C(1), &numbers));
-    BSQ_TRY(BSQ_GROW(ctx, "names of triangles", names->count + mesh->triangle_count, &names->of,
-                     &names->capacity));
-    BSQ_TRY(lowpoly_add_triangles(ctx, names, stem, mesh, numbers));
+    BSQ_TRY(name_triangles(ctx, all, stem, mesh, numbers, out));
 done:
     BSQ_FREE(ctx, numbers, stem);
     return status;
@@ -193,21 +190,16 @@ done:
 
 /* A triangle, and what its set is named by. */
 struct owned {
-    uint32_t object, material, triangle;
+    uint64_t set; /* number of the object, and below it that of the material */
+    uint32_t triangle;
 };
-
-static int compare_sets(const struct owned *a, const struct owned *b)
-{
-    if (a->object != b->object)
-        return a->object < b->object ? -1 : 1;
-    return (a->material > b->material) - (a->material < b->material);
-}
 
 static int compare_owners(const void *a, const void *b)
 {
     const struct owned *x = a, *y = b;
-    const int sets = compare_sets(x, y);
-    return sets != 0 ? sets : (x->triangle > y->triangle) - (x->triangle < y->triangle);
+    if (x->set != y->set)
+        return x->set < y->set ? -1 : 1;
+    return (x->triangle > y->triangle) - (x->triangle < y->triangle);
 }
 
 /* Return whether each object, or each material, has maps of its own. */
@@ -228,7 +220,7 @@ static int make_sets(struct bsq_ctx *ctx, const struct bake_options *options,
     uint64_t capacity = 0;
     int status = 0;
     for (uint64_t i = 0; i < count && status == 0; i++) {
-        if (i > 0 && compare_sets(&owned[i - 1], &owned[i]) == 0) {
+        if (i > 0 && owned[i - 1].set == owned[i].set) {
             mesh->sets[mesh->set_count - 1].count++;
             continue;
         }
@@ -236,16 +228,18 @@ static int make_sets(struct bsq_ctx *ctx, const struct bake_options *options,
             BSQ_GROW(ctx, "sets of maps", mesh->set_count + UINT64_C(1), &mesh->sets, &capacity);
         if (status == 0)
             mesh->sets[mesh->set_count++] = (struct bake_low_set){
-                .object = object_maps(options) ? mesh->objects.list[owned[i].object] : NULL,
-                .material = material_maps(options) ? mesh->materials.list[owned[i].material] : NULL,
+                .object = object_maps(options) ? mesh->objects.list[owned[i].set >> 32] : NULL,
+                .material =
+                    material_maps(options) ? mesh->materials.list[(uint32_t)owned[i].set] : NULL,
                 .first = i,
                 .count = 1};
     }
     return status;
 }
 
+/* Sorts the mesh by set, and gives it the sets. */
 static int sort_by_set(struct bsq_ctx *ctx, const struct bake_options *options,
-                       const struct names *names, struct bake_lowmesh *mesh)
+                       struct bake_lowmesh *mesh)
 {
     const uint64_t count = mesh->triangle_count;
     struct owned *owned = NULL;
@@ -254,8 +248,9 @@ static int sort_by_set(struct bsq_ctx *ctx, const struct bake_options *options,
     BSQ_TRY(BSQ_ALLOC(ctx, "sets of maps", count, &owned));
     BSQ_TRY(BSQ_ALLOC(ctx, "sets of maps", count, &order));
     for (uint64_t t = 0; t < count; t++)
-        owned[t] = (struct owned){object_maps(options) ? names->of[t][0] : 0,
-                                  material_maps(options) ? names->of[t][1] : 0, (uint32_t)t};
+        owned[t] = (struct owned){(object_maps(options) ? (uint64_t)mesh->object_of[t] << 32 : 0) |
+                                      (material_maps(options) ? mesh->material_of[t] : 0),
+                                  (uint32_t)t};
     bsq_sort(owned, count, sizeof *owned, compare_owners);
     BSQ_TRY(make_sets(ctx, options, owned, count, mesh));
     for (uint64_t t = 0; t < count; t++)
@@ -265,34 +260,6 @@ static int sort_by_set(struct bsq_ctx *ctx, const struct bake_options *options,
 done:
     BSQ_FREE(ctx, order, owned);
     return status;
-}
-
-/* Sorts the mesh by set, and gives it the sets and the objects of its triangles, as the options
- * ask. Takes the names over. */
-static int apply_names(struct bsq_ctx *ctx, const struct bake_options *options, struct names *names,
-                       struct bake_lowmesh *mesh)
-{
-    int status = 0;
-    mesh->objects = names->objects;
-    mesh->materials = names->materials;
-    mesh->names = names->tally;
-    names->objects = names->materials = (struct bsq_texts){0};
-    names->tally = (struct bsq_tally){0};
-    if (options->match_names)
-        status = BSQ_ALLOC(ctx, "objects of triangles", mesh->triangle_count, &mesh->object_of);
-    for (uint64_t t = 0; t < mesh->triangle_count && options->match_names && status == 0; t++)
-        mesh->object_of[t] = names->of[t][0];
-    if (status == 0 && (object_maps(options) || material_maps(options)))
-        status = sort_by_set(ctx, options, names, mesh);
-    return status;
-}
-
-static void free_names(struct bsq_ctx *ctx, struct names *names)
-{
-    bsq_texts_free(&names->objects);
-    bsq_texts_free(&names->materials);
-    bsq_tally_release(ctx, &names->tally);
-    bsq_free(ctx, names->of);
 }
 
 /* ---- one file ---- */
@@ -497,13 +464,13 @@ static uint64_t count_polygons(const struct fmt_mesh *mesh)
     return count;
 }
 
-/* Loads one file, whose bounds are those of its triangles. */
+/* Loads one file, whose bounds are those of its triangles. *out is all zeros; all: gets its names.
+ */
 static int load_file(struct bsq_ctx *ctx, const struct bake_options *options, const char *path,
-                     struct names *names, struct bake_lowmesh *out)
+                     struct bake_lowmesh *all, struct bake_lowmesh *out)
 {
     const bool named = options->match_names || object_maps(options) || material_maps(options);
     struct fmt_mesh mesh = {0};
-    memset(out, 0, sizeof(*out));
     int status = fmt_mesh_load(ctx, path, named, &mesh);
     if (status < 0)
         return status;
@@ -516,7 +483,7 @@ static int load_file(struct bsq_ctx *ctx, const struct bake_options *options, co
             "their shading will be off by some degrees: apply the scale before baking",
             path);
     bake_transform_mesh(options, &mesh);
-    BSQ_TRY(lowpoly_allocate(ctx, mesh.triangle_count, out));
+    BSQ_TRY(lowpoly_allocate(ctx, mesh.triangle_count, named, out));
     out->triangle_count = mesh.triangle_count;
     out->polygon_count = count_polygons(&mesh);
     lowpoly_copy_positions(&mesh, out);
@@ -526,7 +493,7 @@ static int load_file(struct bsq_ctx *ctx, const struct bake_options *options, co
     if (options->cage_path)
         BSQ_TRY(bake_cage_directions(ctx, options, path, &mesh, out));
     if (named)
-        BSQ_TRY(add_names(ctx, names, path, &mesh));
+        BSQ_TRY(add_names(ctx, all, path, &mesh, out));
     BSQ_TRY(bsq_check(ctx));
 done:
     fmt_mesh_free(ctx, &mesh);
@@ -575,11 +542,11 @@ static int lowpoly_append(struct bsq_ctx *ctx, struct bake_lowmesh *other,
 int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_options *options,
                       struct bake_lowmesh *out)
 {
-    struct names names = {0};
-    int status = load_file(ctx, options, options->mesh_path, &names, out);
+    *out = (struct bake_lowmesh){0};
+    int status = load_file(ctx, options, options->mesh_path, out, out);
     for (uint32_t i = 0; i < options->more_mesh_count && status == 0; i++) {
-        struct bake_lowmesh next;
-        status = load_file(ctx, options, options->more_mesh_paths[i], &names, &next);
+        struct bake_lowmesh next = {0};
+        status = load_file(ctx, options, options->more_mesh_paths[i], out, &next);
         if (status == 0)
             status = lowpoly_append(ctx, &next, out);
         bake_lowmesh_free(ctx, &next);
@@ -587,9 +554,8 @@ int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_options *options,
     if (status == 0 && out->triangle_count > UINT32_MAX / 3)
         status = bsq_fail(ctx, BSQ_EDATA, "%s and other files: more than %u triangles",
                           options->mesh_path, UINT32_MAX / 3);
-    if (status == 0 && names.of)
-        status = apply_names(ctx, options, &names, out);
-    free_names(ctx, &names);
+    if (status == 0 && (object_maps(options) || material_maps(options)))
+        status = sort_by_set(ctx, options, out);
     if (status < 0)
         bake_lowmesh_free(ctx, out);
     return status;
@@ -609,7 +575,7 @@ double bake_lowmesh_area(const struct bake_lowmesh *mesh, uint64_t triangle)
 void bake_lowmesh_free(struct bsq_ctx *ctx, struct bake_lowmesh *mesh)
 {
     BSQ_FREE(ctx, mesh->positions, mesh->normals, mesh->texcoords, mesh->tangents, mesh->directions,
-             mesh->reaches, mesh->object_of, mesh->sets);
+             mesh->reaches, mesh->object_of, mesh->material_of, mesh->sets);
     bsq_texts_free(&mesh->objects);
     bsq_texts_free(&mesh->materials);
     bsq_tally_release(ctx, &mesh->names);

@@ -30,7 +30,7 @@ struct bake_lowmesh {
     uint32_t set_count;
     struct bsq_texts objects, materials; /* names; only if they are wanted */
     struct bsq_tally names;              /* memory of these */
-    uint32_t *object_of;                 /* of each triangle; NULL unless wanted */
+    uint32_t *object_of, *material_of;   /* of each triangle: numbers in these; likewise */
 };
 
 /* Where a mesh lies: p becomes shift + scale * turn p. */
