@@ -4,7 +4,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <xxhash.h>
 
 #include "formats/image/exr_read.h"
 #include "libbake/job/job.h"
@@ -12,13 +11,14 @@
 
 /* ---- names ---- */
 
-char *bake_part_path(const struct bake_job *job, const struct bake_tile *tile, uint32_t part)
+char *bake_part_path(const struct bake_job *job, const struct bake_part_file *file)
 {
+    const struct bake_tile *tile = &job->tiles[file->tile];
     const char *name = bsq_file_name(tile->output_path), *end = strrchr(name, '.');
     const int folder = (int)(bsq_file_name(tile->beside) - tile->beside);
     const int length = end ? (int)(end - name) : (int)strlen(name);
     char word[48], *pattern = NULL;
-    snprintf(word, sizeof word, "part-%u-of-%u", part, job->options->parts);
+    snprintf(word, sizeof word, "part-%u-of-%u", file->part, job->options->parts);
     if (asprintf(&pattern, "%.*s%.*s%s.exr", folder, tile->beside, length, name,
                  strstr(name, BAKE_MAP_TOKEN) ? "" : "." BAKE_MAP_TOKEN) < 0)
         return NULL;
@@ -76,13 +76,13 @@ static const char *const text_names[BAKE_PART_TEXTS] = {
     [BAKE_PART_OPTIONS] = "bisque:options", [BAKE_PART_COUNTS] = "bisque:counts"};
 
 /* Sets the texts that tell a file of a part from those of other parts and bakes. */
-static void expect_texts(const struct bake_job *job, uint32_t tile, uint32_t part,
+static void expect_texts(const struct bake_job *job, const struct bake_part_file *file,
                          struct bake_part_texts *out)
 {
     *out = job->identity;
-    snprintf(out->of[BAKE_PART_NUMBER], BAKE_PART_TEXT, "%u/%u", part, job->options->parts);
-    snprintf(out->of[BAKE_PART_TILE], BAKE_PART_TEXT, "%u (%u/%u)", job->tiles[tile].udim.number,
-             tile + 1, job->udim.count);
+    snprintf(out->of[BAKE_PART_NUMBER], BAKE_PART_TEXT, "%u/%u", file->part, job->options->parts);
+    snprintf(out->of[BAKE_PART_TILE], BAKE_PART_TEXT, "%u (%u/%u)",
+             job->tiles[file->tile].udim.number, file->tile + 1, job->udim.count);
 }
 
 static void write_counts(const struct bake_part_counts *counts, char *out)
@@ -100,53 +100,23 @@ static bool part_read_counts(const char *text, struct bake_part_counts *out)
                   &out->curvature.texels, &out->curvature.alone) == 6;
 }
 
-/* ---- checksums ---- */
+/* ---- writing ---- */
 
-void bake_part_digest(const XXH128_hash_t *hash, char out[BAKE_PART_DIGITS + 1])
-{
-    snprintf(out, BAKE_PART_DIGITS + 1, "%016" PRIx64 "%016" PRIx64, hash->high64, hash->low64);
-}
-
-/* Computes the checksum of the first `size` bytes of a file. */
-static int compute_checksum(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t size,
-                            char out[BAKE_PART_DIGITS + 1])
-{
-    enum { BUFFER_BYTES = 256 << 10 };
-    XXH3_state_t *state = XXH3_createState();
-    void *buffer = NULL;
-    int status = 0;
-    if (!state || XXH3_128bits_reset(state) != XXH_OK)
-        BSQ_TRY(bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", file->path));
-    BSQ_TRY(bsq_alloc(ctx, "checksum of a file", 1, BUFFER_BYTES, &buffer));
-    for (uint64_t at = 0; at < size; at += BUFFER_BYTES) {
-        const uint64_t bytes = size - at < BUFFER_BYTES ? size - at : BUFFER_BYTES;
-        BSQ_TRY(bsq_check(ctx));
-        BSQ_TRY(bsq_file_read(ctx, file, buffer, bytes, at));
-        XXH3_128bits_update(state, buffer, bytes);
-    }
-    const XXH128_hash_t hash = XXH3_128bits_digest(state);
-    bake_part_digest(&hash, out);
-done:
-    bsq_free(ctx, buffer);
-    XXH3_freeState(state);
-    return status;
-}
+enum { DIGITS = FMT_FINGERPRINT_BYTES - 1 /* of the checksum at the end of a file */ };
 
 /* Writes the checksum after the last byte of the image. */
 static int part_add_checksum(struct bsq_ctx *ctx, struct bsq_output *output)
 {
-    char digits[BAKE_PART_DIGITS + 1];
+    char digits[FMT_FINGERPRINT_BYTES];
     struct bsq_file file;
     int status = bsq_output_read(output, &file);
     if (status == 0)
-        status = compute_checksum(ctx, &file, file.size, digits);
+        status = fmt_fingerprint_bytes(ctx, &file, file.size, digits);
     if (status == 0)
-        status = bsq_output_write_at(output, digits, BAKE_PART_DIGITS, file.size);
+        status = bsq_output_write_at(output, digits, DIGITS, file.size);
     bsq_file_close(ctx, &file);
     return status;
 }
-
-/* ---- writing ---- */
 
 struct writing {
     const struct bake_job *job;
@@ -219,22 +189,22 @@ static int write_image(const struct writing *writing, const char *path,
 }
 
 int bake_part_write(const struct bake_job *job, const struct bake_channels *channels,
-                    uint32_t number, const struct bake_box *box,
-                    const struct bake_part_counts *counts, struct bsq_output **out)
+                    const struct bake_part_file *file, const struct bake_part_counts *counts,
+                    struct bsq_output **out)
 {
     struct bsq_ctx *ctx = job->ctx;
     struct bake_part_texts texts;
     struct writing writing = {
-        .job = job, .tile = &job->tiles[number], .box = *box, .channels = channels};
+        .job = job, .tile = &job->tiles[file->tile], .box = file->box, .channels = channels};
     const uint64_t texel = channels->count * sizeof(float);
     struct fmt_image_writer *writer = NULL;
-    char *path = bake_part_path(job, writing.tile, job->options->part);
+    char *path = bake_part_path(job, file);
     int status;
     BSQ_TRY(path ? 0 : bsq_fail(ctx, BSQ_ENOMEM, "a part: out of memory"));
-    BSQ_TRY(bsq_alloc(ctx, "rows of a part", box->x_end - box->x, texel, &writing.row));
+    BSQ_TRY(bsq_alloc(ctx, "rows of a part", file->box.x_end - file->box.x, texel, &writing.row));
     BSQ_TRY(bsq_alloc(ctx, "rows of a part", writing.tile->blocks.side,
                       writing.tile->image->texel_bytes, &writing.block_row));
-    expect_texts(job, number, job->options->part, &texts);
+    expect_texts(job, file, &texts);
     write_counts(counts, texts.of[BAKE_PART_COUNTS]);
     BSQ_TRY(write_image(&writing, path, &texts, &writer));
     status = fmt_image_hand_over(writer, out);
@@ -269,7 +239,7 @@ static int check_texts(const struct bake_part *part)
         [BAKE_PART_INPUTS] = "a part of a bake with other inputs",
         [BAKE_PART_OPTIONS] = "a part of a bake with other options"};
     const struct fmt_exr_image *image = fmt_exr_rows_image(part->rows);
-    const struct bake_box *box = &part->box;
+    const struct bake_box *box = &part->of.box;
     for (int i = 0; i < BAKE_PART_TEXTS; i++) {
         const char *text = fmt_exr_image_attribute(image, text_names[i]);
         if (!text || strlen(text) >= BAKE_PART_TEXT)
@@ -280,7 +250,7 @@ static int check_texts(const struct bake_part *part)
             return part_refuse(part, what[i]);
     if (image->x != (int32_t)box->x || image->y != (int32_t)box->y ||
         image->width != box->x_end - box->x || image->height != box->y_end - box->y ||
-        fmt_exr_tile_side(part->rows) != part->job->tiles[part->tile].blocks.side)
+        fmt_exr_tile_side(part->rows) != part->job->tiles[part->of.tile].blocks.side)
         return part_refuse(part, "damaged: it has another size");
     return 0;
 }
@@ -294,19 +264,15 @@ void bake_part_close(struct bake_part *part)
     part->path = NULL;
 }
 
-int bake_part_open(const struct bake_job *job, const struct bake_channels *channels, uint32_t tile,
-                   uint32_t number, const struct bake_box *box, struct bake_part *part)
+int bake_part_open(const struct bake_job *job, const struct bake_channels *channels,
+                   const struct bake_part_file *file, struct bake_part *part)
 {
-    *part = (struct bake_part){.job = job,
-                               .channels = channels,
-                               .tile = tile,
-                               .number = number,
-                               .box = *box,
-                               .file = BSQ_FILE_CLOSED};
-    part->path = bake_part_path(job, &job->tiles[tile], number);
+    *part =
+        (struct bake_part){.job = job, .channels = channels, .of = *file, .file = BSQ_FILE_CLOSED};
+    part->path = bake_part_path(job, file);
     if (!part->path)
         return bsq_fail(job->ctx, BSQ_ENOMEM, "a part: out of memory");
-    expect_texts(job, tile, number, &part->texts);
+    expect_texts(job, file, &part->texts);
     BSQ_PASS(bsq_file_open_as(job->ctx, part->path, BSQ_OPEN_OTHER, &part->file));
     BSQ_PASS(fmt_exr_tiles_open(job->ctx, part->path, &part->file,
                                 (const char *const *)channels->names, channels->count,
@@ -323,12 +289,12 @@ int bake_part_open(const struct bake_job *job, const struct bake_channels *chann
 static int check_bytes(const struct bake_part *part)
 {
     struct bsq_ctx *ctx = part->job->ctx;
-    char found[BAKE_PART_DIGITS + 1], digits[BAKE_PART_DIGITS + 1] = "";
+    char found[FMT_FINGERPRINT_BYTES], digits[FMT_FINGERPRINT_BYTES] = "";
     const uint64_t size = part->file.size;
-    if (size <= BAKE_PART_DIGITS)
+    if (size <= DIGITS)
         return part_refuse(part, "not a part of a bake");
-    BSQ_PASS(compute_checksum(ctx, &part->file, size - BAKE_PART_DIGITS, found));
-    BSQ_PASS(bsq_file_read(ctx, &part->file, digits, BAKE_PART_DIGITS, size - BAKE_PART_DIGITS));
+    BSQ_PASS(fmt_fingerprint_bytes(ctx, &part->file, size - DIGITS, found));
+    BSQ_PASS(bsq_file_read(ctx, &part->file, digits, DIGITS, size - DIGITS));
     if (strcmp(found, digits) != 0)
         return part_refuse(part, "damaged: its checksum does not fit");
     return 0;
@@ -338,8 +304,8 @@ static int check_bytes(const struct bake_part *part)
 static int read_block(const struct bake_part *part, uint32_t x, uint32_t y,
                       struct bake_image *image)
 {
-    const struct bake_box *box = &part->box;
-    const uint32_t side = part->job->tiles[part->tile].blocks.side;
+    const struct bake_box *box = &part->of.box;
+    const uint32_t side = part->job->tiles[part->of.tile].blocks.side;
     const uint32_t width = box->x_end - x < side ? box->x_end - x : side;
     const uint32_t height = box->y_end - y < side ? box->y_end - y : side;
     const float *texels;
@@ -352,13 +318,13 @@ static int read_block(const struct bake_part *part, uint32_t x, uint32_t y,
 
 int bake_part_read(const struct bake_part *part, struct bake_image *image)
 {
-    const struct bake_tile *tile = &part->job->tiles[part->tile];
-    const struct bake_box *box = &part->box;
+    const struct bake_tile *tile = &part->job->tiles[part->of.tile];
+    const struct bake_box *box = &part->of.box;
     const uint32_t side = tile->blocks.side;
     int status = check_bytes(part);
     for (uint32_t y = box->y; y < box->y_end && image && status == 0; y += side)
         for (uint32_t x = box->x; x < box->x_end && status == 0; x += side)
-            if (tile->shares[y / side * tile->blocks.columns + x / side] + 1 == part->number)
+            if (tile->shares[y / side * tile->blocks.columns + x / side] + 1 == part->of.part)
                 status = read_block(part, x, y, image);
     return status;
 }

@@ -6,7 +6,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
-#include <xxhash.h>
 
 #include "base/job_files.h"
 #include "base/parallel.h"
@@ -17,23 +16,6 @@
 enum { LIST_BYTES = 160 /* of numbers in a message */ };
 
 /* ---- the identity of a bake ---- */
-
-static int begin_checksum(struct bsq_ctx *ctx, XXH3_state_t **out)
-{
-    *out = XXH3_createState();
-    if (*out && XXH3_128bits_reset(*out) == XXH_OK)
-        return 0;
-    XXH3_freeState(*out);
-    *out = NULL;
-    return bsq_fail(ctx, BSQ_ENOMEM, "checksum: out of memory");
-}
-
-static void end_checksum(XXH3_state_t *state, char *out)
-{
-    const XXH128_hash_t hash = XXH3_128bits_digest(state);
-    bake_part_digest(&hash, out);
-    XXH3_freeState(state);
-}
 
 static void parts_add_options(XXH3_state_t *state, const struct bsq_option *rows, size_t count,
                               const void *of)
@@ -63,9 +45,9 @@ static int identify_options(struct bake_job *job)
     size_t count;
     const struct bsq_option *rows = bake_option_rows(&count);
     XXH3_state_t *state;
-    BSQ_PASS(begin_checksum(job->ctx, &state));
+    BSQ_PASS(fmt_fingerprint_begin(job->ctx, &state));
     parts_add_options(state, rows, count, job->options);
-    end_checksum(state, job->identity.of[BAKE_PART_OPTIONS]);
+    fmt_fingerprint_end(state, job->identity.of[BAKE_PART_OPTIONS]);
     return 0;
 }
 
@@ -100,7 +82,7 @@ static int identify_inputs(struct bake_job *job)
     XXH3_state_t *state = NULL;
     uint64_t next = 0;
     int status;
-    BSQ_TRY(begin_checksum(job->ctx, &state));
+    BSQ_TRY(fmt_fingerprint_begin(job->ctx, &state));
     BSQ_TRY(parts_check_input(job, options->scan_path));
     for (uint32_t i = 0; i < options->more_scan_count; i++)
         BSQ_TRY(parts_check_input(job, options->more_scan_paths[i]));
@@ -114,28 +96,25 @@ static int identify_inputs(struct bake_job *job)
         if (status < 0)
             break;
     }
-    end_checksum(state, job->identity.of[BAKE_PART_INPUTS]);
+    fmt_fingerprint_end(state, job->identity.of[BAKE_PART_INPUTS]);
     state = NULL;
 done:
     XXH3_freeState(state);
     return status;
 }
 
-/* Finds out what files of parts must say, and which blocks each part has. */
-static int prepare(struct bake_job *job)
-{
-    snprintf(job->identity.of[BAKE_PART_VERSION], BAKE_PART_TEXT, "%s", BSQ_VERSION);
-    BSQ_PASS(identify_options(job));
-    BSQ_PASS(identify_inputs(job));
-    return bake_divide(job);
-}
+/* ---- files ---- */
 
-/* ---- boxes ---- */
-
-static bool box_is_empty(const struct bake_box *box)
-{
-    return box->x_end == 0;
-}
+/* A bake in parts, and the files of its part or, if it is a merge, of all parts: by tile, and of a
+ * tile by part. */
+struct farm {
+    struct bake_job *job;
+    struct bake_channels channels;
+    struct bake_part_file *files;
+    uint64_t count, capacity;
+    bool *counted;                    /* the counts of a part are added already */
+    uint32_t *missing, missing_count; /* from 1 on; in the tile that is checked */
+};
 
 /* Adds block b of a tile to a box; zeros are an empty one. */
 static void add_block(const struct bake_tile *tile, uint64_t b, struct bake_box *box)
@@ -145,7 +124,7 @@ static void add_block(const struct bake_tile *tile, uint64_t b, struct bake_box 
     const uint32_t y = (uint32_t)(b / tile->blocks.columns) * side;
     const uint32_t x_end = tile->options.width - x < side ? tile->options.width : x + side;
     const uint32_t y_end = tile->options.height - y < side ? tile->options.height : y + side;
-    if (box_is_empty(box))
+    if (box->x_end == 0)
         *box = (struct bake_box){x, y, x_end, y_end};
     box->x = x < box->x ? x : box->x;
     box->y = y < box->y ? y : box->y;
@@ -153,61 +132,76 @@ static void add_block(const struct bake_tile *tile, uint64_t b, struct bake_box 
     box->y_end = y_end > box->y_end ? y_end : box->y_end;
 }
 
-static uint64_t block_count(const struct bake_tile *tile)
+/* Lists the files with blocks of a tile. boxes: space for one of each part. */
+static int list_files_of_tile(struct farm *farm, uint32_t number, struct bake_box *boxes)
 {
-    return (uint64_t)tile->blocks.columns * tile->blocks.rows;
+    const struct bake_options *options = farm->job->options;
+    const struct bake_tile *tile = &farm->job->tiles[number];
+    memset(boxes, 0, options->parts * sizeof *boxes);
+    for (uint64_t b = 0; b < (uint64_t)tile->blocks.columns * tile->blocks.rows; b++)
+        add_block(tile, b, &boxes[tile->shares[b]]);
+    for (uint32_t part = 1; part <= options->parts; part++) {
+        const struct bake_box *box = &boxes[part - 1];
+        if (box->x_end == 0 || (options->part && part != options->part))
+            continue;
+        BSQ_PASS(BSQ_GROW(farm->job->ctx, "files of parts", farm->count + 1, &farm->files,
+                          &farm->capacity));
+        farm->files[farm->count++] = (struct bake_part_file){number, part, *box};
+    }
+    return bsq_check(farm->job->ctx);
 }
 
-/* Returns the box of the job's part in a tile. */
-static struct bake_box own_box(const struct bake_tile *tile)
+/* Finds out what files of parts must say, which blocks each part has, and the files. */
+static int prepare(struct farm *farm)
 {
-    struct bake_box box = {0};
-    for (uint64_t b = 0; b < block_count(tile); b++)
-        if (tile->blocks.places[b] != BAKE_NO_PLACE)
-            add_block(tile, b, &box);
-    return box;
+    struct bake_job *job = farm->job;
+    struct bake_box *boxes = NULL;
+    int status;
+    snprintf(job->identity.of[BAKE_PART_VERSION], BAKE_PART_TEXT, "%s", BSQ_VERSION);
+    BSQ_TRY(identify_options(job));
+    BSQ_TRY(identify_inputs(job));
+    BSQ_TRY(bake_divide(job));
+    BSQ_TRY(BSQ_ALLOC(job->ctx, "parts", job->options->parts, &boxes));
+    for (uint32_t t = 0; t < job->udim.count; t++)
+        BSQ_TRY(list_files_of_tile(farm, t, boxes));
+done:
+    bsq_free(job->ctx, boxes);
+    return status;
 }
 
 /* ---- one part ---- */
 
 /* Sets *out if all files of the job's part are there and whole. */
-static int is_done(const struct bake_job *job, const struct bake_channels *channels, bool *out)
+static int is_done(const struct farm *farm, bool *out)
 {
     int status = 0;
-    *out = false;
-    for (uint32_t t = 0; t < job->udim.count && status == 0; t++) {
+    for (uint64_t i = 0; i < farm->count && status == 0; i++) {
         struct bake_part part;
-        if (job->tiles[t].blocks.count == 0)
-            continue;
-        const struct bake_box box = own_box(&job->tiles[t]);
-        status = bake_part_open(job, channels, t, job->options->part, &box, &part);
+        status = bake_part_open(farm->job, &farm->channels, &farm->files[i], &part);
         if (status == 0)
             status = bake_part_read(&part, NULL);
         bake_part_close(&part);
-        *out = status == 0;
     }
+    *out = farm->count > 0 && status == 0;
     if (status == BSQ_ENOMEM || status == BSQ_EINTR)
         return status;
-    bsq_clear_error(job->ctx);
+    bsq_clear_error(farm->job->ctx);
     return 0;
 }
 
 /* Checks before the work that all files of the job's part can be written. */
-static int check_files(const struct bake_job *job)
+static int check_files(const struct farm *farm)
 {
-    uint64_t count = 0;
+    const struct bake_job *job = farm->job;
     int status = 0;
-    for (uint32_t t = 0; t < job->udim.count && status == 0; t++) {
-        if (job->tiles[t].blocks.count == 0)
-            continue;
-        char *path = bake_part_path(job, &job->tiles[t], job->options->part);
+    for (uint64_t i = 0; i < farm->count && status == 0; i++) {
+        char *path = bake_part_path(job, &farm->files[i]);
         status = path ? bsq_output_check(job->ctx, path)
                       : bsq_fail(job->ctx, BSQ_ENOMEM, "a part: out of memory");
         free(path);
-        count++;
     }
     return status < 0 ? status
-                      : bsq_require_descriptors(job->ctx, job->options->output_path, count);
+                      : bsq_require_descriptors(job->ctx, job->options->output_path, farm->count);
 }
 
 static int parts_trace_own(struct bake_job *job)
@@ -222,19 +216,16 @@ static int parts_trace_own(struct bake_job *job)
 }
 
 /* Writes all files of the part, which appear together. */
-static int write_files(const struct bake_job *job, const struct bake_channels *channels)
+static int write_files(const struct farm *farm)
 {
-    const struct bake_report *report = job->report;
+    const struct bake_report *report = farm->job->report;
     const struct bake_part_counts counts = {report->covered_texels, report->samples, report->hits,
-                                            report->overlapping_samples, job->curvature};
+                                            report->overlapping_samples, farm->job->curvature};
     struct bsq_output_group group = {0};
     struct bsq_output *output;
     int status = 0;
-    for (uint32_t t = 0; t < job->udim.count; t++) {
-        if (job->tiles[t].blocks.count == 0)
-            continue;
-        const struct bake_box box = own_box(&job->tiles[t]);
-        BSQ_TRY(bake_part_write(job, channels, t, &box, &counts, &output));
+    for (uint64_t i = 0; i < farm->count; i++) {
+        BSQ_TRY(bake_part_write(farm->job, &farm->channels, &farm->files[i], &counts, &output));
         BSQ_TRY(bsq_output_group_add(&group, output));
     }
     status = bsq_output_group_commit(&group);
@@ -243,52 +234,33 @@ done:
     return status;
 }
 
+static void end_farm(struct farm *farm)
+{
+    BSQ_FREE(farm->job->ctx, farm->counted, farm->missing, farm->files);
+    bake_free_channels(&farm->channels);
+}
+
 int bake_run_part(struct bake_job *job)
 {
-    struct bake_channels channels;
+    struct farm farm = {.job = job};
     int status;
-    BSQ_TRY(bake_name_channels(job, &channels));
+    BSQ_TRY(bake_name_channels(job, &farm.channels));
     BSQ_TRY(bake_set_params(job)); /* which measures distances by triangles in the mesh's order */
-    BSQ_TRY(prepare(job));
+    BSQ_TRY(prepare(&farm));
     for (uint32_t t = 0; t < job->udim.count; t++)
         BSQ_TRY(bake_take_share(job, &job->tiles[t]));
-    BSQ_TRY(is_done(job, &channels, &job->report->done));
+    BSQ_TRY(is_done(&farm, &job->report->done));
     if (job->report->done)
         goto done;
-    BSQ_TRY(check_files(job));
+    BSQ_TRY(check_files(&farm));
     BSQ_TRY(parts_trace_own(job));
-    status = write_files(job, &channels);
+    status = write_files(&farm);
 done:
-    bake_free_channels(&channels);
+    end_farm(&farm);
     return status;
 }
 
 /* ---- all parts ---- */
-
-/* The parts that have blocks in a tile. */
-struct tile_parts {
-    struct bake_job *job;
-    struct bake_channels channels;
-    uint32_t tile;
-    struct bake_box *boxes;           /* of all parts */
-    uint32_t *list, count;            /* those with a box, from 0 on */
-    bool *counted;                    /* the counts of a part are added already */
-    uint32_t *missing, missing_count; /* from 1 on */
-};
-
-static int list_parts(struct tile_parts *of)
-{
-    const struct bake_tile *tile = &of->job->tiles[of->tile];
-    const uint32_t parts = of->job->options->parts;
-    memset(of->boxes, 0, parts * sizeof *of->boxes);
-    for (uint64_t b = 0; b < block_count(tile); b++)
-        add_block(tile, b, &of->boxes[tile->shares[b]]);
-    of->count = 0;
-    for (uint32_t i = 0; i < parts; i++)
-        if (!box_is_empty(&of->boxes[i]))
-            of->list[of->count++] = i;
-    return bsq_check(of->job->ctx);
-}
 
 static void add_counts(struct bake_job *job, const struct bake_part_counts *counts)
 {
@@ -301,76 +273,74 @@ static void add_counts(struct bake_job *job, const struct bake_part_counts *coun
     job->curvature.alone += counts->curvature.alone;
 }
 
-/* Checks the headers of a tile's parts, and notes those that are missing. */
-static int check_tile(struct tile_parts *of)
+/* Checks the header of a file, or notes that it is missing. */
+static int check_one_part(struct farm *farm, const struct bake_part_file *file)
 {
-    int status = list_parts(of);
-    for (uint32_t i = 0; i < of->count && status == 0; i++) {
-        const uint32_t share = of->list[i];
-        struct bake_part part;
-        status =
-            bake_part_open(of->job, &of->channels, of->tile, share + 1, &of->boxes[share], &part);
-        if (status == 0 && !of->counted[share])
-            add_counts(of->job, &part.counts);
-        if (status == BSQ_ENOINPUT) {
-            bsq_clear_error(of->job->ctx);
-            if (of->missing_count == 0 || of->missing[of->missing_count - 1] != share + 1)
-                of->missing[of->missing_count++] = share + 1;
-            status = 0;
-        }
-        of->counted[share] = true;
-        bake_part_close(&part);
-        if (status == 0)
-            status = bsq_check(of->job->ctx);
+    struct bake_part part;
+    int status = bake_part_open(farm->job, &farm->channels, file, &part);
+    if (status == 0 && !farm->counted[file->part - 1])
+        add_counts(farm->job, &part.counts);
+    if (status == BSQ_ENOINPUT) {
+        bsq_clear_error(farm->job->ctx);
+        farm->missing[farm->missing_count++] = file->part;
+        status = 0;
     }
-    return status;
+    farm->counted[file->part - 1] = true;
+    bake_part_close(&part);
+    return status == 0 ? bsq_check(farm->job->ctx) : status;
 }
 
 /* Fails with the numbers of a tile's missing parts, as many as fit a line. */
-static int parts_fail_missing(const struct tile_parts *of)
+static int parts_fail_missing(const struct farm *farm, uint32_t tile)
 {
-    const struct bake_job *job = of->job;
+    const struct bake_job *job = farm->job;
     char list[LIST_BYTES] = "";
     size_t length = 0;
     uint32_t named = 0;
-    for (; named < of->missing_count && length + 32 < sizeof list; named++)
+    for (; named < farm->missing_count && length + 32 < sizeof list; named++)
         length += (size_t)snprintf(list + length, sizeof list - length, "%s%u", named ? ", " : "",
-                                   of->missing[named]);
-    char *path = bake_part_path(job, &job->tiles[of->tile], of->missing[0]);
+                                   farm->missing[named]);
+    char *path = bake_part_path(job, &(struct bake_part_file){tile, farm->missing[0], {0}});
     const int status = bsq_fail(
         job->ctx, BSQ_ENOINPUT, "%s: missing; of %u parts, %u %s missing: %s%s",
-        path ? path : "a part", job->options->parts, of->missing_count,
-        of->missing_count == 1 ? "is" : "are", list, named < of->missing_count ? " ..." : "");
+        path ? path : "a part", job->options->parts, farm->missing_count,
+        farm->missing_count == 1 ? "is" : "are", list, named < farm->missing_count ? " ..." : "");
     free(path);
     return status;
 }
 
+/* Files of one tile. */
+struct tile_files {
+    const struct farm *farm;
+    const struct bake_part_file *files;
+};
+
 static int parts_read_one(void *arg, uint64_t i, unsigned worker)
 {
-    const struct tile_parts *of = arg;
-    const uint32_t share = of->list[i];
+    const struct tile_files *of = arg;
+    const struct bake_part_file *file = &of->files[i];
+    struct bake_job *job = of->farm->job;
     struct bake_part part;
     (void)worker;
-    int status =
-        bake_part_open(of->job, &of->channels, of->tile, share + 1, &of->boxes[share], &part);
+    int status = bake_part_open(job, &of->farm->channels, file, &part);
     if (status == 0)
-        status = bake_part_read(&part, of->job->tiles[of->tile].image);
+        status = bake_part_read(&part, job->tiles[file->tile].image);
     bake_part_close(&part);
-    bsq_progress_add(of->job->ctx, 1);
+    bsq_progress_add(job->ctx, 1);
     return status;
 }
 
-/* Takes the texels of a tile. Their images share half of the memory that is left, as in a bake
- * without parts. */
-static int read_tile(struct tile_parts *of, uint64_t memory_bytes)
+/* Takes the texels of a tile from `count` files. Their images share half of the memory that is
+ * left, as in a bake without parts. */
+static int read_tile(const struct farm *farm, const struct bake_part_file *files, uint64_t count,
+                     uint64_t memory_bytes)
 {
-    struct bake_job *job = of->job;
-    struct bake_tile *tile = &job->tiles[of->tile];
-    int status;
-    BSQ_TRY(list_parts(of));
-    BSQ_TRY(bake_tile_create_image(job->ctx, tile, false, memory_bytes));
-    bsq_progress_begin(job->ctx, "reading parts", "parts", of->count);
-    status = bsq_parallel_for(job->ctx, of->count, parts_read_one, of);
+    struct bake_job *job = farm->job;
+    struct bake_tile *tile = &job->tiles[files->tile];
+    struct tile_files of = {farm, files};
+    BSQ_PASS(bake_tile_create_image(job->ctx, tile, false, memory_bytes));
+    bsq_progress_begin(job->ctx, "reading parts", "parts", count);
+    int status = bsq_parallel_for(job->ctx, count, parts_read_one, &of);
     bsq_progress_end(job->ctx);
     if (status == 0)
         status = bake_image_measure(job->ctx, tile->image, job->maps, job->measures.statistics);
@@ -378,25 +348,29 @@ static int read_tile(struct tile_parts *of, uint64_t memory_bytes)
         bake_image_free(tile->image);
         tile->image = NULL;
     }
-done:
     return status;
 }
 
-static int read_tiles(struct tile_parts *of)
+static int read_tiles(struct farm *farm)
 {
-    struct bake_job *job = of->job;
+    struct bake_job *job = farm->job;
     const uint64_t reserve = bsq_memory_left(job->ctx) / 2;
-    for (of->tile = 0; of->tile < job->udim.count; of->tile++) {
-        of->missing_count = 0;
-        BSQ_PASS(check_tile(of));
-        if (of->missing_count > 0)
-            return parts_fail_missing(of);
+    for (uint64_t i = 0; i < farm->count; i++) {
+        const uint32_t tile = farm->files[i].tile;
+        BSQ_PASS(check_one_part(farm, &farm->files[i]));
+        const bool last = i + 1 == farm->count || farm->files[i + 1].tile != tile;
+        if (last && farm->missing_count > 0)
+            return parts_fail_missing(farm, tile);
     }
     BSQ_PASS(bake_check_hits(job));
-    for (of->tile = 0; of->tile < job->udim.count; of->tile++) {
+    for (uint64_t first = 0, end; first < farm->count; first = end) {
+        const uint32_t tile = farm->files[first].tile;
         const uint64_t left = bsq_memory_left(job->ctx),
                        share = left > reserve ? left - reserve : 0;
-        BSQ_PASS(read_tile(of, share / (job->udim.count - of->tile)));
+        for (end = first + 1; end < farm->count && farm->files[end].tile == tile;)
+            end++;
+        BSQ_PASS(
+            read_tile(farm, &farm->files[first], end - first, share / (job->udim.count - tile)));
     }
     return 0;
 }
@@ -404,15 +378,13 @@ static int read_tiles(struct tile_parts *of)
 int bake_take_parts(struct bake_job *job)
 {
     const uint32_t parts = job->options->parts;
-    struct tile_parts of = {.job = job};
+    struct farm farm = {.job = job};
     int status;
-    BSQ_TRY(bake_name_channels(job, &of.channels));
-    BSQ_TRY(prepare(job));
-    BSQ_TRY(BSQ_ALLOC(job->ctx, "parts", parts, &of.boxes));
-    BSQ_TRY(BSQ_ALLOC(job->ctx, "parts", parts, &of.list));
-    BSQ_TRY(BSQ_ALLOC(job->ctx, "parts", parts, &of.missing));
-    BSQ_TRY(BSQ_CALLOC(job->ctx, "parts", parts, &of.counted));
-    BSQ_TRY(read_tiles(&of));
+    BSQ_TRY(bake_name_channels(job, &farm.channels));
+    BSQ_TRY(prepare(&farm));
+    BSQ_TRY(BSQ_ALLOC(job->ctx, "parts", parts, &farm.missing));
+    BSQ_TRY(BSQ_CALLOC(job->ctx, "parts", parts, &farm.counted));
+    BSQ_TRY(read_tiles(&farm));
     snprintf(job->report->device, sizeof job->report->device, "%u part%s", parts,
              parts == 1 ? "" : "s");
     if (job->maps & BAKE_MAP_CURVATURE) {
@@ -421,7 +393,6 @@ int bake_take_parts(struct bake_job *job)
     }
     bake_end_tracing(job);
 done:
-    BSQ_FREE(job->ctx, of.counted, of.missing, of.list, of.boxes);
-    bake_free_channels(&of.channels);
+    end_farm(&farm);
     return status;
 }

@@ -2,10 +2,9 @@
 #ifndef BAKE_JOB_PARTS_H
 #define BAKE_JOB_PARTS_H
 
-#include <xxhash.h>
-
 #include "base/file.h"
 #include "base/output.h"
+#include "formats/fingerprint.h"
 #include "libbake/job/job.h"
 
 struct fmt_exr_rows;
@@ -32,6 +31,12 @@ struct bake_box {
     uint32_t x, y, x_end, y_end;
 };
 
+/* A file of a part. */
+struct bake_part_file {
+    uint32_t tile, part; /* index; from 1 on */
+    struct bake_box box;
+};
+
 /* What a part counted in all of its tiles, for the report of the merge. */
 struct bake_part_counts {
     uint64_t covered_texels, samples, hits, overlapping_samples;
@@ -48,8 +53,7 @@ struct bake_channels {
 struct bake_part {
     const struct bake_job *job;
     const struct bake_channels *channels;
-    uint32_t tile, number; /* index; of the part, from 1 on */
-    struct bake_box box;
+    struct bake_part_file of;
     char *path;
     struct bsq_file file;
     struct fmt_exr_rows *rows;
@@ -58,27 +62,23 @@ struct bake_part {
 };
 
 /* Returns the path of a part's file; NULL if there is no memory. The caller frees it. */
-char *bake_part_path(const struct bake_job *job, const struct bake_tile *tile, uint32_t part);
+char *bake_part_path(const struct bake_job *job, const struct bake_part_file *file);
 
 /* Names the channels of the files. Free them with bake_free_channels(), also after a failure.
  * Errors: BSQ_ENOMEM. */
 int bake_name_channels(const struct bake_job *job, struct bake_channels *out);
 void bake_free_channels(struct bake_channels *channels);
 
-enum { BAKE_PART_DIGITS = 32 /* of a checksum */ };
-/* Writes a checksum as text. */
-void bake_part_digest(const XXH128_hash_t *hash, char out[BAKE_PART_DIGITS + 1]);
-
-/* Writes a file of the job's part: tile number `number`, whose image holds the part's blocks. *out:
+/* Writes a file of the job's part, from the image of its tile, which holds the part's blocks. *out:
  * complete, without its name. Errors: BSQ_EIO, BSQ_ECANTCREAT, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_part_write(const struct bake_job *job, const struct bake_channels *channels,
-                    uint32_t number, const struct bake_box *box,
-                    const struct bake_part_counts *counts, struct bsq_output **out);
+                    const struct bake_part_file *file, const struct bake_part_counts *counts,
+                    struct bsq_output **out);
 
 /* Opens a file and checks its header. Close it also after a failure. Errors: BSQ_ENOINPUT
  * if it is missing; BSQ_EDATA, which names it, if it is damaged or no such part of this bake. */
-int bake_part_open(const struct bake_job *job, const struct bake_channels *channels, uint32_t tile,
-                   uint32_t number, const struct bake_box *box, struct bake_part *part);
+int bake_part_open(const struct bake_job *job, const struct bake_channels *channels,
+                   const struct bake_part_file *file, struct bake_part *part);
 /* Checks all bytes, and copies the part's blocks to the image of the tile; NULL: only checks.
  * Errors: BSQ_EDATA, those of bake_image_write(). */
 int bake_part_read(const struct bake_part *part, struct bake_image *image);
