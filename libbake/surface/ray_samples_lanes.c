@@ -235,7 +235,8 @@ static void sum_group(struct tracing *tracing, const struct group *group, const 
     }
     for (uint32_t lane = 0; lane < group->samples.count; lane++) {
         float *texel = group->samples.texel[lane];
-        if (tracing->workers.more > 0 && texel[BK_COVERED] == 0) /* the object of the first sample */
+        if (tracing->workers.more > 0 &&
+            texel[BK_COVERED] == 0) /* the object of the first sample */
             memcpy(texel + tracing->workers.texel_floats - 1,
                    &tracing->object_of[group->samples.triangle[lane]], sizeof *texel);
         bk_add_sample(params, &placed, lane, texel);
