@@ -47,7 +47,7 @@ struct vox_measuring {
     const struct fmt_tris_file *file;
     const struct vox_mesh *mesh; /* all of it, or what is near a region */
     const struct vox_region *region;
-    float near_low[3], near_high[3]; /* around the chunks of the region, and farther */
+    float near_low[3], near_high[3]; /* around the triangles of the region, and farther */
     double area;                     /* of the whole mesh */
     uint64_t chunk_bytes; /* most that a chunk takes in memory, with what is known of it */
     double diagonal;

@@ -184,16 +184,12 @@ static void check_near(double value, double wanted, double share)
     assert_true(fabs(value - wanted) <= share * wanted);
 }
 
-/* Region by region, distances are those of a mesh that is measured at once, also of boxes. */
-CONTEXT_TEST(regions_are_measured_as_the_whole, 2, 0)
+static struct fmt_tris_file *sort_waves(struct bsq_ctx *ctx)
 {
     const char *path = "waves.obj";
     struct vox_sort_options options;
     struct vox_sort_report report = {.size = sizeof report};
     struct fmt_tris_file *file;
-    struct vox_mesh mesh = {0};
-    struct vox_distances there[2], back[2];
-    struct vox_measured_box boxes[2][2];
     write_waves(path, 400);
     vox_sort_defaults(&options);
     options.scan_paths = &path;
@@ -202,6 +198,16 @@ CONTEXT_TEST(regions_are_measured_as_the_whole, 2, 0)
     assert_int_equal(vox_sort(ctx, &options, &report), 0);
     assert_int_equal(fmt_tris_open(ctx, "waves.tris", &file), 0);
     assert_true(fmt_tris_get_header(file)->chunk_count > 4);
+    return file;
+}
+
+/* Region by region, distances are those of a mesh that is measured at once, also of boxes. */
+CONTEXT_TEST(regions_are_measured_as_the_whole, 2, 0)
+{
+    struct fmt_tris_file *file = sort_waves(ctx);
+    struct vox_mesh mesh = {0};
+    struct vox_distances there[2], back[2];
+    struct vox_measured_box boxes[2][2];
     assert_int_equal(collapse(ctx, false, half_flat, &mesh), 0);
     for (int i = 0; i < 2; i++) {
         for (int k = 0; k < 2; k++)
@@ -223,6 +229,30 @@ CONTEXT_TEST(regions_are_measured_as_the_whole, 2, 0)
         check_near(boxes[1][k].from_mesh.mean, boxes[0][k].from_mesh.mean, 0.05);
         check_near(boxes[1][k].from_mesh.max, boxes[0][k].from_mesh.max, 0.03);
     }
+    vox_mesh_free(ctx, &mesh);
+    fmt_tris_close(file);
+}
+
+/* Regions of the scan where the mesh has nothing count, too. */
+CONTEXT_TEST(regions_far_from_the_mesh_are_measured, 2, 0)
+{
+    struct fmt_tris_file *file = sort_waves(ctx);
+    struct vox_mesh mesh = {0};
+    struct vox_distances there[2], back[2];
+    uint32_t count = 0;
+    assert_int_equal(collapse(ctx, false, half_flat, &mesh), 0);
+    for (uint32_t t = 0; t < mesh.triangle_count; t++)
+        if (mesh.positions[mesh.triangles[t][0]][0] > 3.5F)
+            vox_mesh_move_triangle(&mesh, count++, t);
+    mesh.triangle_count = count;
+    for (int i = 0; i < 2; i++)
+        assert_int_equal(vox_measure(ctx, file, &mesh, NULL, NULL, 0, i ? count / 10 : count,
+                                     &there[i], &back[i]),
+                         0);
+    check_near(there[0].max, 3.5, 0.02);
+    assert_true(there[1].max >= 0.989 * there[0].max && there[1].max <= 1.05 * there[0].max);
+    check_near(there[1].mean, there[0].mean, 0.05);
+    check_near(back[1].max, back[0].max, 0.011);
     vox_mesh_free(ctx, &mesh);
     fmt_tris_close(file);
 }
