@@ -386,9 +386,10 @@ static void find_margins(const struct bake_tree *tree, bk_vec3 start, float marg
         margins[axis] = bk_tree_margin(tree->low[axis], tree->high[axis] - 1, from[axis]);
 }
 
-/* Appends rays `first` and following ones of a point, at most BK_WIDTH. */
+/* Appends rays `first` and following ones of a point, at most BK_WIDTH, but for those that cross
+ * its wall; NULL: it has none. */
 static void add_rays(struct bake_tree_tracer *tracer, const bk_viewpoint *point,
-                     const float margins[3], uint32_t first, uint32_t result)
+                     const bk_wall *wall, const float margins[3], uint32_t first, uint32_t result)
 {
     struct bake_tree_stream *stream = tracer->stream;
     const bk_rays *kind = tracer->kind;
@@ -406,9 +407,14 @@ static void add_rays(struct bake_tree_tracer *tracer, const bk_viewpoint *point,
     bk_set_walk(kind, rise, &walk);
     bk_bounds(&line, tracer->params, &t_near, &t_far);
     const bk_fw t_end = bk_minw(limit, t_far);
-    const bk_uint walked = bk_begin_walk(tracer->params, &line, &walk, t_near, t_end, &t, &cursor);
+    bk_uint walked = bk_begin_walk(tracer->params, &line, &walk, t_near, t_end, &t, &cursor);
     const bk_mask through = bk_mask_of(kind->open ? 0u : ~0u) & bk_not(bk_less(t_far, limit));
-    const bk_fw found = bk_select(through, limit, bk_splat(-1.0f));
+    bk_fw found = bk_select(through, limit, bk_splat(-1.0f)), t_wall;
+    if (wall) {
+        const bk_mask met = bk_cross_wall(wall, direction, rise, &t_wall) & (t_wall <= limit);
+        found = bk_select(met, t_wall, found);
+        walked &= ~bk_bits(met);
+    }
     memcpy(&tracer->results[result], &found, count * sizeof(float));
 
     /* The cursor of a ray that is not walked is that of the next one. */
@@ -446,10 +452,14 @@ static void rays_add_point(struct bake_tree_tracer *tracer, const bk_viewpoint *
 {
     const bk_uint left = tracer->kind->count - first;
     const bk_uint end = first + (left < BAKE_TREE_BUNDLE ? left : BAKE_TREE_BUNDLE);
+    const bool walled = tracer->kind->open && point->crowded == BK_CROWDED_BY_WALL;
     float margins[3];
+    bk_wall wall;
+    if (walled)
+        wall = bk_find_wall(tracer->grid, &tracer->cache, point->solid_from, point->normal);
     find_margins(tracer->tree, bk_ray_start(tracer->kind, point), margins);
     for (bk_uint ray = first; ray < end; ray += BK_WIDTH)
-        add_rays(tracer, point, margins, ray, result + ray);
+        add_rays(tracer, point, walled ? &wall : NULL, margins, ray, result + ray);
     for (int axis = 0; axis < 3; axis++)
         tracer->margins[axis] = bk_max(tracer->margins[axis], 2.0f * margins[axis]);
 }

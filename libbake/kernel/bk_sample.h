@@ -290,8 +290,8 @@ BK_FN bk_viewpoint bk_viewpoint_of_hit(const bk_params *params, const bk_samples
     bk_viewpoint viewpoint;
 
     viewpoint.solid_from = bk_lane3(&position, lane);
-    viewpoint.normal = bk_lane3(&traced->hits.normal, lane);
-    viewpoint.crowded = traced->hits.crowded >> lane & 1u;
+    viewpoint.normal = bk_lane3(&traced->hits.up, lane);
+    viewpoint.crowded = bk_crowded_by(&traced->hits, lane);
     viewpoint.open_from =
         bk_add_scaled(viewpoint.solid_from, viewpoint.crowded ? 0.0f : BK_LIFT, viewpoint.normal);
     viewpoint.facet = bk_v3(0.0f, 0.0f, 0.0f);

@@ -14,19 +14,16 @@
  * surface must not hide itself. They end at any surface, on either side. If another surface is
  * beside the hit, or the hit lies in a hollow, that start would be past what hides it. Open rays of
  * such crowded points come from the hit itself, and meet what is less than a voxel above its
- * tangent plane by the rule of bk_meets(). Rays into the solid start at the hit and end where they
- * leave the solid, at a surface that faces along them; the surface they start on faces against
- * them. From params->coarse on, any occupied voxel ends both kinds: how a far surface lies in its
- * voxel hardly matters, and its records need not be read. Rays that leave the grid inside the solid
- * are not counted: the scan has a hole, or they touched it only. */
+ * tangent plane by the rule of bk_meets(). bk_wall.h tells of a wall that stands there. Rays into
+ * the solid start at the hit and end where they leave the solid, at a surface that faces along
+ * them; the surface they start on faces against them. From params->coarse on, any occupied voxel
+ * ends both kinds: how a far surface lies in its voxel hardly matters, and its records need not be
+ * read. Rays that leave the grid inside the solid are not counted: the scan has a hole, or they
+ * touched it only. */
 #ifndef BAKE_KERNEL_BK_SECONDARY_H
 #define BAKE_KERNEL_BK_SECONDARY_H
 
 #include "bk_trace.h"
-
-/* Distance above the hit at which open rays start, in voxels. It is larger than the margin of any
- * record, see bk_margin(). */
-#define BK_LIFT 1.0f
 
 /* Height above the tangent plane of a crowded point at which its open rays start, in voxels. */
 #define BK_NEAR_START 0.15f
@@ -53,15 +50,26 @@ typedef struct bk_surroundings {
     float solids;    /* number of these distances */
 } bk_surroundings;
 
+/* Why a point is crowded: see bk_find_crowded(); it has a wall. */
+enum { BK_CROWDED_BY_PLANES = 1, BK_CROWDED_BY_WALL = 2 };
+
 /* A point on the surface, and what its rays have in common; index space. */
 typedef struct bk_viewpoint {
     bk_vec3 open_from, solid_from; /* where rays start: above the surface; on it */
     bk_vec3 normal;                /* unit, away from the solid */
     bk_vec3 facet;   /* unit normal of the triangle, on that side; zero: there is none */
     float side;      /* 1, or -1 if the scan's own normal points into the solid; 0: no rays start */
-    bk_uint crowded; /* not 0: of bk_find_crowded(); both kinds of rays start on the surface */
+    bk_uint crowded; /* not 0, but BK_CROWDED_..: both kinds of rays start on the surface */
     bk_share share;
 } bk_viewpoint;
+
+/* Returns why a hit is crowded, 0 if it is not. */
+BK_FN bk_uint bk_crowded_by(const bk_hits *hits, bk_uint lane)
+{
+    if (hits->walled >> lane & 1u)
+        return BK_CROWDED_BY_WALL;
+    return hits->crowded >> lane & 1u ? BK_CROWDED_BY_PLANES : 0u;
+}
 
 /* Seeds of the directions of rays into the solid differ from those of open rays in these bits. */
 #define BK_SOLID_SEED 4u

@@ -11,6 +11,7 @@
 
 #include "bk_cross.h"
 #include "bk_maps.h"
+#include "bk_wall.h"
 
 /* Cosine below which a ray is too flat for its hit to be moved onto the blended surface. */
 #define BK_GRAZING 0.1f
@@ -283,9 +284,11 @@ BK_FN bk_crossing bk_nearest(const bk_grid *grid, const bk_params *params, bk_ca
 typedef struct bk_hits {
     bk_uint found;    /* one bit a lane */
     bk_uint crowded;  /* alike: bk_find_crowded(), with BK_OPEN_MAPS */
+    bk_uint walled;   /* alike: bk_find_walls(), with BK_OPEN_MAPS */
     bk_uint reversed; /* alike: BK_TWO_SIDED let the ray hit the back of the scan's surface */
     bk_fw t;          /* signed distance in voxels along the direction */
     bk_vec3w normal;  /* unit, object space, along `facing`: turned round if the hit is reversed */
+    bk_vec3w up;      /* the same, but around which rays from the hit start */
     bk_vec3w color;   /* linear RGB, 0..1 */
     bk_iw id;         /* of the record that was hit; 0 without BK_HAS_IDS */
 } bk_hits;
@@ -382,7 +385,9 @@ BK_FN bk_uint bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cac
     shift = bk_maxw(bk_splat(-0.5f), bk_minw(bk_splat(0.5f), blend.distance / slope));
     steep = bk_less(bk_splat(BK_GRAZING), bk_absw(slope)) & blend.found;
     hits->t = bk_select(steep, hits->t - sign * shift, hits->t);
-    hits->normal = bk_select3(blend.found, blend.normal, hits->normal);
+    hits->normal = hits->up = bk_select3(blend.found, blend.normal, hits->normal);
+    if (params->maps & BK_OPEN_MAPS)
+        hits->walled = bk_unfold(&cell, corners, &at, &hits->up) & bk_bits(blend.found);
     if (params->flags & BK_HAS_COLOR)
         for (lane = 0; lane < BK_WIDTH; lane++)
             if (hits->found & bk_bits(blend.found) & 1u << lane)
@@ -412,6 +417,23 @@ BK_FN void bk_read_ids(const bk_grid *grid, const bk_crossing *crossing, bk_hits
         }
 }
 
+/* Leaves in hits->walled the lanes of hits that have a wall. For the others, hits->up becomes the
+ * hit's normal. */
+BK_FN void bk_find_walls(const bk_grid *grid, bk_cache *cache, const bk_lines *lines, bk_hits *hits)
+{
+    const bk_vec3w points = bk_add_scaledw(lines->origin, hits->t, lines->direction);
+    bk_uint lane;
+
+    for (lane = 0; lane < BK_WIDTH && hits->walled; lane++)
+        if (hits->walled >> lane & 1u) {
+            const bk_wall wall =
+                bk_find_wall(grid, cache, bk_lane3(&points, lane), bk_lane3(&hits->up, lane));
+            if (bk_dot(wall.normal, wall.normal) == 0.0f)
+                hits->walled &= ~(1u << lane);
+        }
+    hits->up = bk_select3(bk_mask_of(hits->walled), hits->up, hits->normal);
+}
+
 /* Traces lines to the surfaces that bk_nearest() chooses. */
 BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                     const bk_lines *lines, bk_hits *hits)
@@ -426,8 +448,8 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
     bk_uint lane, single;
     hits->found = bk_bits(crossing.found);
     hits->t = sign * crossing.t;
-    hits->normal = crossing.normal;
-    hits->crowded = 0;
+    hits->normal = hits->up = crossing.normal;
+    hits->crowded = hits->walled = 0;
     hits->color = bk_v3w(zero, zero, zero);
     hits->id = bk_splati(0);
     if (params->flags & (BK_HAS_COLOR | BK_HAS_IDS))
@@ -451,10 +473,12 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
                             1.0f);
     hits->reversed = params->flags & BK_TWO_SIDED ? hits->found & bk_bits(back) : 0;
     if (hits->reversed) {
-        const bk_vec3w n = hits->normal;
-        hits->normal =
-            bk_select3(bk_mask_of(hits->reversed), bk_v3w(-n.x, -n.y, -n.z), hits->normal);
+        const bk_mask reversed = bk_mask_of(hits->reversed);
+        const bk_vec3w n = hits->normal, up = hits->up;
+        hits->normal = bk_select3(reversed, bk_v3w(-n.x, -n.y, -n.z), n);
+        hits->up = bk_select3(reversed, bk_v3w(-up.x, -up.y, -up.z), up);
     }
+    bk_find_walls(grid, cache, lines, hits);
 }
 
 /* Traces a single ray, see bk_single_rays. A ray without a direction hits nothing. */

@@ -64,9 +64,9 @@ typedef struct bk_tree_walk {
     bk_ulong stack[BK_TREE_DEPTH]; /* of nodes: `node` << 8 | `children` */
 } bk_tree_walk;
 
-/* Starts a ray from a point. Without a way through the grid, it is over at once. */
-BK_FN void bk_tree_begin(const bk_params *params, const bk_rays *rays, const bk_viewpoint *from,
-                         bk_vec3w direction, bk_tree_walk *walk)
+/* Starts a ray from a point. Without a way through the grid, or at a wall, it is over at once. */
+BK_FN void bk_tree_begin(const bk_grid *grid, const bk_params *params, const bk_rays *rays,
+                         const bk_viewpoint *from, bk_vec3w direction, bk_tree_walk *walk)
 {
     const bk_vec3 point = bk_ray_start(rays, from);
     const bk_vec3w start = bk_splat3(point);
@@ -74,6 +74,7 @@ BK_FN void bk_tree_begin(const bk_params *params, const bk_rays *rays, const bk_
     bk_visits *visits = &walk->visits;
     float t_near, t_far;
     bk_walk steps;
+    float t;
 
     visits->ray = bk_ray_along(start, direction, bk_scalew(direction, from->side), 1);
     bk_bounds(&visits->ray, params, &t_near, &t_far);
@@ -84,6 +85,14 @@ BK_FN void bk_tree_begin(const bk_params *params, const bk_rays *rays, const bk_
     walk->children = bk_begin_walk(params, &visits->ray, &steps, t_near, visits->t_end,
                                    &visits->t_begin, &visits->cursor);
     walk->result = !rays->open && !(t_far < rays->limit) ? rays->limit : -1.0f;
+    if (rays->open && from->crowded == BK_CROWDED_BY_WALL) {
+        bk_cache cache = bk_cache_empty();
+        const bk_wall wall = bk_find_wall(grid, &cache, from->solid_from, from->normal);
+        if (bk_bits(bk_cross_wall(&wall, direction, walk->rise, &t)) && t <= rays->limit) {
+            walk->result = t;
+            walk->children = 0;
+        }
+    }
     visits->first_x = visits->cursor.x;
     visits->first_y = visits->cursor.y;
     visits->first_z = visits->cursor.z;
@@ -356,7 +365,7 @@ BK_FN float bk_tree_look(const bk_grid *grid, const bk_params *params, const bk_
 #ifdef BK_COUNT
     walk.visited = 0;
 #endif
-    bk_tree_begin(params, rays, from, direction, &walk);
+    bk_tree_begin(grid, params, rays, from, direction, &walk);
     if (!walk.children)
         return BK_VALUE(&walk);
     BK_ROLLED

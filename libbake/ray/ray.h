@@ -25,9 +25,9 @@ struct bake_hit {
     float color[3];    /* linear RGB */
     uint32_t id;       /* as in struct bk_map_hit; 0 without ids */
     float facet[3];    /* unit normal of the triangle, on the side that counts as its front; of a
-                          grid: zero */
+                          grid: zero, or of a hit with a wall the normal around which rays start */
     bool reversed;     /* that side is the scan's back */
-    bool crowded;      /* of a grid: bk_viewpoint.crowded */
+    uint8_t crowded;   /* of a grid: bk_viewpoint.crowded */
     uint32_t scan;     /* of several scans: the one that was hit */
 };
 

@@ -66,6 +66,8 @@ static void set_viewpoint(const struct view *view, uint64_t index, const double 
     const struct bake_hit *hit = &view->hits->hits[index];
     const float *facet = hit->facet;
     const float *up = facet[0] != 0 || facet[1] != 0 || facet[2] != 0 ? facet : hit->normal;
+    const bool walled = hit->crowded == BK_CROWDED_BY_WALL;
+    const float *normal = walled ? facet : hit->normal;
     float on[3], above[3];
     for (int k = 0; k < 3; k++) {
         const double at =
@@ -76,10 +78,10 @@ static void set_viewpoint(const struct view *view, uint64_t index, const double 
     }
     *out = (bk_viewpoint){.open_from = bk_v3(above[0], above[1], above[2]),
                           .solid_from = bk_v3(on[0], on[1], on[2]),
-                          .normal = bk_v3(hit->normal[0], hit->normal[1], hit->normal[2]),
-                          .facet = bk_v3(facet[0], facet[1], facet[2]),
+                          .normal = bk_v3(normal[0], normal[1], normal[2]),
+                          .facet = walled ? bk_v3(0, 0, 0) : bk_v3(facet[0], facet[1], facet[2]),
                           .side = hit->reversed ? -1.0f : 1.0f,
-                          .crowded = own && hit->crowded,
+                          .crowded = own ? hit->crowded : 0,
                           .share = view->hits->shares[index]};
 }
 

@@ -180,9 +180,11 @@ static void get_hit(const bk_hits *hits, bk_uint lane, double unit, struct bake_
                              .t = (double)bk_lane(hits->t, lane) * unit,
                              .id = (bk_uint)bk_lane(hits->id, lane),
                              .reversed = hits->reversed >> lane & 1,
-                             .crowded = hits->crowded >> lane & 1};
+                             .crowded = (uint8_t)bk_crowded_by(hits, lane)};
     bk_copy_lane(&hits->normal, lane, out->normal);
     bk_copy_lane(&hits->color, lane, out->color);
+    if (out->crowded == BK_CROWDED_BY_WALL)
+        bk_copy_lane(&hits->up, lane, out->facet);
 }
 
 void BSQ_SIMD_NAME(bake_native_rays)(const struct bk_grid *grid, const struct bk_params *params,

@@ -51,10 +51,17 @@ float walked_ray(const bk_grid *grid, const bk_params *params, const bk_rays *ki
 {
     const bk_ray ray = bk_ray_along(bk_splat3(bk_ray_start(kind, point)), direction,
                                     bk_scalew(direction, point->side), ~0);
+    const float rise = bk_ray_rise(kind, point, direction);
     float t_near, t_far, t;
     bk_cursor cursor;
     bk_walk walk;
-    bk_set_walk(kind, bk_ray_rise(kind, point, direction), &walk);
+    if (kind->open && point->crowded == BK_CROWDED_BY_WALL) {
+        bk_cache cache = bk_cache_empty();
+        const bk_wall wall = bk_find_wall(grid, &cache, point->solid_from, point->normal);
+        if (bk_cross_wall(&wall, direction, rise, &t) && t <= kind->limit)
+            return t;
+    }
+    bk_set_walk(kind, rise, &walk);
     bk_bounds(&ray, params, &t_near, &t_far);
     const float t_end = fminf(kind->limit, t_far);
     if (bk_begin_walk(params, &ray, &walk, t_near, t_end, &t, &cursor)) {

@@ -203,10 +203,11 @@ static void look_one_by_one(const struct fixture *f, const bk_rays *kind, const 
             bk_tree_look(&grid, &f->params, kind, point, bk_ray_directions(kind, point, ray));
 }
 
-/* Returns a point from which open rays start as from hits of grids; every other one is crowded. */
+/* Returns a point from which open rays start as from hits of grids; two of three are crowded, one
+ * of them by walls. */
 static bk_viewpoint point_at(bk_vec3 position, bk_vec3 normal, float side, bk_uint seed)
 {
-    const bk_uint crowded = bk_hash(seed) & 1u;
+    const bk_uint crowded = bk_hash(seed) % 3u;
     return (bk_viewpoint){.open_from = bk_add_scaled(position, crowded ? 0 : BK_LIFT, normal),
                           .crowded = crowded,
                           .solid_from = position,

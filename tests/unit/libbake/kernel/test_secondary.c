@@ -231,6 +231,53 @@ TEST(a_wall_hides_half_of_a_floor)
     end(&s);
 }
 
+/* Returns what the rays find from the hit of a line down onto a floor at (x, y). */
+static bk_surroundings look_from_hit(const struct scene *s, double x, double y)
+{
+    static float found[2 * RAYS];
+    const bk_lines lines = {.count = 1,
+                            .origin = bk_v3w((float)x, (float)y, 0),
+                            .direction = bk_v3w(0, 0, 1),
+                            .facing = bk_v3w(0, 0, 1),
+                            .t_min = -4,
+                            .t_max = 4};
+    bk_cache cache = bk_cache_empty();
+    bk_hits hits;
+    bk_trace(&s->grid, &s->params, &cache, &lines, &hits);
+    assert_int_equal(hits.found, 1);
+    const bk_vec3 at = bk_v3((float)x, (float)y, hits.t), up = bk_lane3(&hits.up, 0);
+    const bk_uint crowded = bk_crowded_by(&hits, 0);
+    const bk_viewpoint from = {.open_from = bk_add_scaled(at, crowded ? 0 : BK_LIFT, up),
+                               .solid_from = at,
+                               .normal = up,
+                               .crowded = crowded,
+                               .side = 1,
+                               .share.seed = bk_hash((bk_uint)(int)(1000 * x))};
+    for (bk_uint ray = 0; ray < bk_ray_count(&s->params); ray++)
+        bk_look_from(&s->grid, &s->params, &from, ray, &found[ray]);
+    return bk_add_up(&s->params, &from, found);
+}
+
+/* On both sides of a wall, the floor sees half of the sky close to it too: in the voxel in which
+ * both meet, wherever the wall stands in that. */
+TEST(a_wall_hides_half_of_its_foot)
+{
+    for (int place = 0; place < 5; place++) {
+        struct scene s = begin();
+        const double h = 150, wall = 0.2 * place;
+        add_rectangle(&s, (double[]){0.3, 0.3, 0.1}, (double[]){60, 0, 0}, (double[]){0, 600, 0},
+                      1);
+        add_rectangle(&s, (double[]){wall, 0.3, h / 2 + 0.1}, (double[]){0, 0, h / 2},
+                      (double[]){0, 600, 0}, -1);
+        open_scene(&s);
+        for (int i = -8; i <= 8; i++)
+            if (i < -1 || i > 1)
+                assert_near(look_from_hit(&s, wall + 0.2 * i, 0.3).open, 0.5, 0.07,
+                            "at the foot of a wall");
+        end(&s);
+    }
+}
+
 /* The floor's middle of a round well sees the sky under the cone tan = r / h: r^2 / (r^2 + h^2).
  * Whole voxels of the rim, 73 voxels away, narrow it by up to one voxel. */
 TEST(a_tube_leaves_a_cone)
