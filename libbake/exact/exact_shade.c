@@ -87,7 +87,7 @@ static void add_smooth(const struct place *place, int corner, double sum[3])
     const bool any = n[0] != 0.0f || n[1] != 0.0f || n[2] != 0.0f;
     const double length = any ? 1 : sqrt(bsq_dotd(place->cross, place->cross));
     for (int k = 0; k < 3; k++)
-        sum[k] += place->w[corner] * ((any ? (double)n[k] : place->cross[k]) / length);
+        sum[k] += place->w[corner] * (any ? (double)n[k] : place->cross[k] / length);
 }
 
 static void shade_normal(const struct bake_exact *exact, const struct place *place, float out[3])

@@ -96,30 +96,6 @@ static int load_slot_normals(void *arg, uint64_t index, unsigned worker)
                                  &slot->normals);
 }
 
-/* The rays of a bundle that have a direction, and their hits so far. */
-struct bundle {
-    uint32_t count;
-    uint8_t numbers[BAKE_RAY_BUNDLE]; /* in the bundle */
-    struct bake_ray rays[BAKE_RAY_BUNDLE];
-    struct exact_best best[BAKE_RAY_BUNDLE];
-};
-
-static void get_bundle(const struct bake_ray_batch *batch, uint64_t first, struct bundle *out)
-{
-    out->count = 0;
-    for (uint64_t ray = first; ray < batch->count && ray < first + BAKE_RAY_BUNDLE; ray++) {
-        const float *d = batch->rays[ray].direction;
-        if (d[0] == 0.0f && d[1] == 0.0f && d[2] == 0.0f)
-            continue;
-        out->numbers[out->count] = (uint8_t)(ray - first);
-        out->rays[out->count] = batch->rays[ray];
-        out->best[out->count++] =
-            (struct exact_best){.t = batch->hits[ray].t,
-                                .triangle = batch->hits[ray].triangle,
-                                .reach = batch->reaches ? (double)batch->reaches[ray] : 0};
-    }
-}
-
 /* Takes a hit of a ray, unless another chunk has found a better one meanwhile, or the ray has it
  * since an earlier batch. Returns whether it was taken. */
 static bool trace_take_hit(struct bake_hit *hit, const struct exact_best *best)
@@ -215,25 +191,29 @@ static int trace_block_on_device(const struct wave *wave, const struct exact_slo
 /* Traces the bundle of an entry of the buckets through the chunk of a slot. */
 static void trace_trace_bundle(struct wave *wave, const struct exact_slot *slot, uint64_t entry)
 {
+    const struct bake_ray_batch *batch = wave->batch;
     const uint32_t number = wave->buckets->bundles[entry];
     const uint64_t first = (uint64_t)number * BAKE_RAY_BUNDLE;
     pthread_mutex_t *lock = &wave->locks[number % EXACT_LOCKS];
-    struct bundle bundle;
+    const uint64_t left = batch->count - first;
+    const uint32_t count = left < BAKE_RAY_BUNDLE ? (uint32_t)left : BAKE_RAY_BUNDLE;
+    struct exact_best best[BAKE_RAY_BUNDLE];
     unsigned found = 0;
     pthread_mutex_lock(lock);
-    get_bundle(wave->batch, first, &bundle);
+    for (uint64_t i = 0; i < count; i++)
+        best[i] =
+            (struct exact_best){.t = batch->hits[first + i].t,
+                                .triangle = batch->hits[first + i].triangle,
+                                .reach = batch->reaches ? (double)batch->reaches[first + i] : 0};
     pthread_mutex_unlock(lock);
-    unsigned improved = 0;
-    if (bundle.count > 0)
-        improved = BSQ_SIMD_PICK(wave->exact->simd, bake_exact_slot_trace)(
-            slot, wave->exact->chunks[slot->number].first_triangle, bundle.rays, bundle.count,
-            &wave->limits, bundle.best);
+    unsigned improved = BSQ_SIMD_PICK(wave->exact->simd, bake_exact_slot_trace)(
+        slot, wave->exact->chunks[slot->number].first_triangle, batch->rays + first, count,
+        &wave->limits, best);
     if (improved != 0) {
         pthread_mutex_lock(lock);
         for (; improved; improved &= improved - 1) {
-            const unsigned i = (unsigned)__builtin_ctz(improved), ray = bundle.numbers[i];
-            found |= (unsigned)trace_take_hit(&wave->batch->hits[first + ray], &bundle.best[i])
-                     << ray;
+            const unsigned i = (unsigned)__builtin_ctz(improved);
+            found |= (unsigned)trace_take_hit(&batch->hits[first + i], &best[i]) << i;
         }
         pthread_mutex_unlock(lock);
     }

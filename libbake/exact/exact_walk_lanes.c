@@ -58,7 +58,6 @@ static void walk_try_triangle(struct trace *trace, uint32_t triangle)
     }
     *best = (struct exact_best){crossing.t, number, crossing.w1, crossing.w2, best->reach};
     trace->improved = true;
-    trace->walk.range = range_of(trace->t_max, best, limits);
 }
 
 /* Tests the triangles with these numbers and boxes. */
@@ -81,6 +80,7 @@ static void try_run(void *arg, uint32_t run)
         numbers[i] = EXACT_RUN * run + i;
     exact_run_set(&trace->slot->chunk, run, &boxes);
     try_boxes(trace, numbers, &boxes);
+    trace->walk.range = range_of(trace->t_max, trace->best, trace->limits);
 }
 
 /* ---- bundles ----
@@ -107,8 +107,8 @@ struct beam {
     float first[2][2], change[2][2]; /* low and high sides, by axis */
 };
 
-/* Sets the planes of a beam so that they enclose the parts of all rays. Returns false if a ray is
- * too flat between them. */
+/* Sets the planes of a beam so that they enclose the parts of all rays that have a direction.
+ * Returns false if one is too flat between them, or if there is none. */
 static bool set_planes(struct beam *beam, const struct bake_ray *rays, uint32_t count, double t_min,
                        double t_max)
 {
@@ -119,6 +119,9 @@ static bool set_planes(struct beam *beam, const struct bake_ray *rays, uint32_t 
     for (uint32_t i = 0; i < count; i++) {
         const double o = (double)rays[i].origin[beam->kz],
                      slope = (double)rays[i].direction[beam->kz];
+        d = rays[i].direction;
+        if (d[0] == 0.0f && d[1] == 0.0f && d[2] == 0.0f)
+            continue;
         if (!(fabs(slope) >= (double)flattest))
             return false;
         const double a = o + slope * t_min, b = o + slope * t_max;
@@ -143,6 +146,7 @@ static bool set_sides(struct beam *beam, const struct bake_ray *rays, uint32_t c
     /* Low and high sides at both planes. */
     double sides[2][2] = {{INFINITY, INFINITY}, {-INFINITY, -INFINITY}};
     for (uint32_t i = 0; i < count; i++) {
+        /* Without a direction, not a number, which is neither below nor above a side. */
         const double slope =
             (double)bk_component(rays[i].direction[k]) / (double)rays[i].direction[kz];
         const double o = (double)rays[i].origin[k], oz = (double)rays[i].origin[kz];
