@@ -94,7 +94,7 @@ static uint32_t buckets_find_candidates(const struct sorting *s, uint64_t begin,
 {
     const struct exact_box box = box_of_rays(s->batch, begin, end);
     const uint32_t first = s->batch->sweep ? s->batch->first_chunk : 0;
-    const uint32_t stop = exact_end_chunk(s->exact, s->batch);
+    const uint32_t stop = s->batch->sweep ? s->batch->end_chunk : s->exact->chunk_count;
     const uint32_t found = bake_exact_tree_overlapping(&s->exact->tree, &box, worker->candidates);
     uint32_t count = 0;
     for (uint32_t i = 0; i < found; i++)

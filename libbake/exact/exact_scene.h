@@ -11,6 +11,7 @@
 #include "formats/shading/shading.h"
 #include "libbake/exact/exact.h"
 #include "libbake/exact/exact_tree.h"
+#include "libbake/kernel/bk_meet.h"
 
 struct bake_exact {
     struct bsq_ctx *ctx;
@@ -38,13 +39,6 @@ static inline uint64_t exact_transfer_floats(const struct bake_exact *exact)
 {
     const uint32_t count = exact->shading.attribute_count;
     return count > 0 ? (uint64_t)BK_TRANSFER_VALUES * (count - FMT_SHADING_CHANNELS) : 0;
-}
-
-/* Returns the number after the last chunk that a batch meets. */
-static inline uint32_t exact_end_chunk(const struct bake_exact *exact,
-                                       const struct bake_ray_batch *batch)
-{
-    return batch->sweep ? batch->end_chunk : exact->chunk_count;
 }
 
 enum { EXACT_LOCKS = 256 /* over the hits */, EXACT_SLOTS_A_THREAD = 2 };
@@ -152,20 +146,12 @@ struct exact_best {
     double reach; /* of the ray */
 };
 
-/* Limits that a hit must meet to count. */
-struct exact_limits {
-    double t_min, t_max, gap;
-    bool facing_origin, two_sided; /* as in struct bake_ray_batch and bake_exact */
-    bool from_reach;               /* as in struct bake_ray_batch */
-};
-
 /* Replaces best[i] of `count` rays, at most BAKE_RAY_BUNDLE, by the nearest hit among the chunk's
  * triangles, if that wins. Returns a bit mask of the rays whose hit was replaced. first: number of
  * the chunk's first triangle. */
 typedef unsigned bake_exact_slot_trace_fn(const struct exact_slot *slot, uint64_t first,
                                           const struct bake_ray *rays, uint32_t count,
-                                          const struct exact_limits *limits,
-                                          struct exact_best *best);
+                                          const bk_limits *limits, struct exact_best *best);
 BSQ_SIMD_DECLARE(bake_exact_slot_trace_fn, bake_exact_slot_trace);
 
 /* Writes the numbers of the boxes that rays, at most BAKE_RAY_BUNDLE, cross between t_min and

@@ -33,7 +33,7 @@ struct wave {
     struct bake_exact *exact;
     const struct bake_ray_batch *batch;
     struct exact_buckets *buckets;
-    struct exact_limits limits;
+    bk_limits limits;
     pthread_mutex_t *locks; /* EXACT_LOCKS, each for the hits of some bundles */
     struct bake_exact_sweep *memory;
     uint32_t used;         /* slots of this wave */
@@ -50,30 +50,29 @@ static bool in_chunk(const struct bake_exact *exact, uint32_t chunk, uint64_t tr
            triangle - info->first_triangle < info->triangle_count;
 }
 
-/* Calls `take` for each ray whose hit is in the slot's chunk, among entries of its bucket, until it
- * returns something else than 0, and returns that. */
-static inline int
-each_hit(const struct wave *wave, struct exact_slot *slot, uint64_t begin, uint64_t end,
-         int (*take)(const struct wave *wave, struct exact_slot *slot, uint64_t ray))
+/* Returns the corners of the triangle of a hit. */
+static const uint32_t *hit_corners(const struct wave *wave, const struct exact_slot *slot,
+                                   uint64_t ray)
 {
-    const struct exact_buckets *buckets = wave->buckets;
-    int status = 0;
-    for (uint64_t i = begin; i < end && status == 0; i++)
-        for (unsigned left = buckets->found[i]; left && status == 0; left &= left - 1) {
-            const uint64_t ray =
-                (uint64_t)buckets->bundles[i] * BAKE_RAY_BUNDLE + (unsigned)__builtin_ctz(left);
-            if (in_chunk(wave->exact, slot->number, wave->batch->hits[ray].triangle))
-                status = take(wave, slot, ray);
-        }
-    return status;
+    return slot->chunk.triangles[wave->batch->hits[ray].triangle -
+                                 wave->exact->chunks[slot->number].first_triangle];
 }
 
-static int stop_at_hit(const struct wave *wave, struct exact_slot *slot, uint64_t ray)
+/* Lists the rays of an entry of the buckets whose hit is in the slot's chunk, and prefetches the
+ * corners of their triangles. Returns their count. */
+static uint32_t list_hits(const struct wave *wave, const struct exact_slot *slot, uint64_t entry,
+                          uint64_t rays[BAKE_RAY_BUNDLE])
 {
-    (void)wave;
-    (void)slot;
-    (void)ray;
-    return 1;
+    uint32_t count = 0;
+    for (unsigned left = wave->buckets->found[entry]; left; left &= left - 1) {
+        const uint64_t ray = (uint64_t)wave->buckets->bundles[entry] * BAKE_RAY_BUNDLE +
+                             (unsigned)__builtin_ctz(left);
+        if (!in_chunk(wave->exact, slot->number, wave->batch->hits[ray].triangle))
+            continue;
+        __builtin_prefetch(hit_corners(wave, slot, ray));
+        rays[count++] = ray;
+    }
+    return count;
 }
 
 static int prepare_slot(void *arg, uint64_t index, unsigned worker)
@@ -90,10 +89,12 @@ static int load_slot_normals(void *arg, uint64_t index, unsigned worker)
     struct exact_slot *slot = &wave->memory->slots.slots[index];
     const uint64_t *starts = &wave->buckets->starts[slot->number];
     (void)worker;
-    if (each_hit(wave, slot, starts[0], starts[1], stop_at_hit) == 0)
-        return 0;
-    return fmt_tris_load_normals(wave->exact->file, slot->number, slot->tree_memory,
-                                 &slot->normals);
+    uint64_t rays[BAKE_RAY_BUNDLE];
+    for (uint64_t i = starts[0]; i < starts[1]; i++)
+        if (list_hits(wave, slot, i, rays) > 0)
+            return fmt_tris_load_normals(wave->exact->file, slot->number, slot->tree_memory,
+                                         &slot->normals);
+    return 0;
 }
 
 /* Takes a hit of a ray, unless another chunk has found a better one meanwhile, or the ray has it
@@ -167,20 +168,12 @@ static void take_first_hits(const struct wave *wave, const struct exact_slot *sl
 static int trace_block_on_device(const struct wave *wave, const struct exact_slot *slot,
                                  const struct block *block, unsigned worker)
 {
-    const struct exact_limits *limits = &wave->limits;
-    const bk_limits of = {.t_min = limits->t_min,
-                          .t_max = limits->t_max,
-                          .gap = limits->gap,
-                          .sides = limits->two_sided       ? 0
-                                   : limits->facing_origin ? (bk_uint)BK_AGAINST
-                                                           : (bk_uint)BK_ALONG,
-                          .from_reach = limits->from_reach};
     struct asked asked = {wave, block};
     const struct bake_first_rays rays = {
         .get = get_first_rays, .arg = &asked, .bundles = (uint32_t)(block->end - block->begin)};
     const bk_first_hit *hits;
-    BSQ_PASS(bake_device_first(wave->exact->device, block->slot * wave->exact->place_bytes, &of,
-                               &rays, &hits, worker));
+    BSQ_PASS(bake_device_first(wave->exact->device, block->slot * wave->exact->place_bytes,
+                               &wave->limits, &rays, &hits, worker));
     for (uint64_t i = block->begin; i < block->end; i++, hits += BAKE_RAY_BUNDLE)
         take_first_hits(wave, slot, i, hits);
     return 0;
@@ -230,44 +223,24 @@ static void trace_add_progress(const struct wave *wave, const struct block *bloc
                            share * (double)block->end);
 }
 
-/* Returns the corners of the triangle of a hit. */
-static const uint32_t *hit_corners(const struct wave *wave, const struct exact_slot *slot,
-                                   uint64_t ray)
-{
-    return slot->chunk.triangles[wave->batch->hits[ray].triangle -
-                                 wave->exact->chunks[slot->number].first_triangle];
-}
-
-static int prefetch_corners(const struct wave *wave, struct exact_slot *slot, uint64_t ray)
-{
-    __builtin_prefetch(hit_corners(wave, slot, ray));
-    return 0;
-}
-
-static int prefetch_vertices(const struct wave *wave, struct exact_slot *slot, uint64_t ray)
-{
-    const uint32_t *v = hit_corners(wave, slot, ray);
-    for (int i = 0; i < 3; i++) {
-        __builtin_prefetch(slot->chunk.positions[v[i]]);
-        if (wave->exact->smooth)
-            __builtin_prefetch(&slot->normals.vertices[v[i]]);
-    }
-    return 0;
-}
-
-static int shade_hit(const struct wave *wave, struct exact_slot *slot, uint64_t ray)
-{
-    return bake_exact_shade(wave->exact, slot, wave->batch, ray);
-}
-
 /* Shades the hits of a block. Neighbouring rays hit triangles all over the chunk, so their data is
  * prefetched: corners a bundle ahead, then vertices. */
-static int shade_block(const struct wave *wave, struct exact_slot *slot, const struct block *block)
+static int shade_block(const struct wave *wave, const struct exact_slot *slot,
+                       const struct block *block)
 {
+    uint64_t rays[2][BAKE_RAY_BUNDLE];
+    uint32_t counts[2] = {list_hits(wave, slot, block->begin, rays[0])};
     for (uint64_t i = block->begin; i < block->end; i++) {
-        each_hit(wave, slot, i + 1, i + 2 < block->end ? i + 2 : block->end, prefetch_corners);
-        each_hit(wave, slot, i, i + 1, prefetch_vertices);
-        BSQ_PASS(each_hit(wave, slot, i, i + 1, shade_hit));
+        const uint32_t now = (i - block->begin) % 2;
+        counts[1 - now] = i + 1 < block->end ? list_hits(wave, slot, i + 1, rays[1 - now]) : 0;
+        for (uint32_t corner = 0; corner < 3 * counts[now]; corner++) {
+            const uint32_t vertex = hit_corners(wave, slot, rays[now][corner / 3])[corner % 3];
+            __builtin_prefetch(slot->chunk.positions[vertex]);
+            if (wave->exact->smooth)
+                __builtin_prefetch(&slot->normals.vertices[vertex]);
+        }
+        for (uint32_t r = 0; r < counts[now]; r++)
+            BSQ_PASS(bake_exact_shade(wave->exact, slot, wave->batch, rays[now][r]));
     }
     return 0;
 }
@@ -451,9 +424,10 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_ray_batch *batc
                         .limits = {.t_min = batch->t_min,
                                    .t_max = batch->t_max,
                                    .gap = batch->gap,
-                                   .facing_origin = batch->facing_origin,
-                                   .from_reach = batch->from_reach,
-                                   .two_sided = exact->two_sided}};
+                                   .sides = exact->two_sided       ? 0
+                                            : batch->facing_origin ? (bk_uint)BK_AGAINST
+                                                                   : (bk_uint)BK_ALONG,
+                                   .from_reach = batch->from_reach}};
     int status = 0;
     if (batch->count == 0)
         return 0;

@@ -11,7 +11,7 @@
 struct trace {
     const struct exact_slot *slot;
     uint64_t first;
-    const struct exact_limits *limits;
+    const bk_limits *limits;
     const struct bake_ray *ray;
     struct exact_walk walk;
     double t_max;   /* of hits that count */
@@ -23,7 +23,7 @@ struct trace {
 
 /* Returns where hits would win over the best one. */
 static struct exact_range range_of(double t_max, const struct exact_best *best,
-                                   const struct exact_limits *limits)
+                                   const bk_limits *limits)
 {
     double begin = limits->t_min, end = t_max;
     if (best->triangle != BAKE_NO_HIT)
@@ -35,7 +35,7 @@ static struct exact_range range_of(double t_max, const struct exact_best *best,
 static void walk_try_triangle(struct trace *trace, uint32_t triangle)
 {
     const struct fmt_tris_chunk *chunk = &trace->slot->chunk;
-    const struct exact_limits *limits = trace->limits;
+    const bk_limits *limits = trace->limits;
     struct exact_best *best = trace->best;
     const uint32_t *v = chunk->triangles[triangle];
     const uint64_t number = trace->first + triangle;
@@ -51,11 +51,11 @@ static void walk_try_triangle(struct trace *trace, uint32_t triangle)
     if (best->triangle != BAKE_NO_HIT &&
         !bk_wins(crossing.t, number, best->t, best->triangle, best->reach))
         return;
-    if (!limits->two_sided) {
-        const bool along = crossing.along != bake_exact_wound_backwards(chunk, triangle);
-        if (along == limits->facing_origin)
-            return;
-    }
+    if (limits->sides &&
+        limits->sides != (crossing.along != bake_exact_wound_backwards(chunk, triangle)
+                              ? (bk_uint)BK_ALONG
+                              : (bk_uint)BK_AGAINST))
+        return;
     *best = (struct exact_best){crossing.t, number, crossing.w1, crossing.w2, best->reach};
     trace->improved = true;
 }
@@ -93,7 +93,7 @@ enum { MOST_RUNS = 64, MOST_TRIANGLES = 256 };
 
 /* Triangles of a chunk. */
 struct list {
-    uint32_t count; /* MOST_TRIANGLES + 1: there are more than fit */
+    uint32_t count;
     uint32_t numbers[MOST_TRIANGLES];
     struct exact_box8 boxes[MOST_TRIANGLES / 8];
 };
@@ -198,77 +198,74 @@ static inline unsigned beam_crosses(const struct beam *beam, const struct exact_
     return bits;
 }
 
-/* Lists the runs of the slot's chunk that overlap the beam. Returns their count, above MOST_RUNS if
- * there are more than fit. */
-static uint32_t find_runs(const struct exact_slot *slot, const struct beam *beam,
-                          uint32_t runs[MOST_RUNS])
+/* Adds the triangles of a run that overlap the beam. */
+static void list_run(const struct fmt_tris_chunk *chunk, uint32_t run, const struct beam *beam,
+                     struct list *list)
+{
+    struct exact_box8 boxes;
+    exact_run_set(chunk, run, &boxes);
+    unsigned bits = beam_crosses(beam, &boxes);
+    for (; bits; bits &= bits - 1, list->count++) {
+        const unsigned c = (unsigned)__builtin_ctz(bits), to = list->count % 8;
+        struct exact_box8 *out = &list->boxes[list->count / 8];
+        list->numbers[list->count] = EXACT_RUN * run + c;
+        for (int k = 0; k < 3; k++) {
+            out->planes[0][k][to] = boxes.planes[0][k][c];
+            out->planes[1][k][to] = boxes.planes[1][k][c];
+        }
+    }
+}
+
+/* Lists the triangles of the slot's chunk that overlap the beam. Returns false if there may be more
+ * than fit. */
+static bool find_triangles(const struct exact_slot *slot, const struct beam *beam,
+                           struct list *list)
 {
     const struct exact_tree *tree = &slot->tree;
     struct exact_entry stack[EXACT_TREE_STACK];
-    uint32_t depth = 1, count = 0;
+    uint32_t depth = 1, count = 0, runs[MOST_RUNS];
     stack[0] = (struct exact_entry){0, tree->levels - 1, 0};
     while (depth > 0) {
         const struct exact_entry top = stack[--depth];
         unsigned bits = beam_crosses(beam, &tree->nodes[tree->first[top.level] + top.node]);
-        if (top.level == 0 && count + (unsigned)__builtin_popcount(bits) > MOST_RUNS)
-            return MOST_RUNS + 1;
         for (; bits; bits &= bits - 1) {
             const uint32_t child = 8 * top.node + (uint32_t)__builtin_ctz(bits);
             if (top.level > 0) {
                 stack[depth++] = (struct exact_entry){0, top.level - 1, child};
                 continue;
             }
-            exact_prefetch(slot->chunk.triangles[EXACT_RUN * child],
+            if (count == MOST_RUNS)
+                return false;
+            exact_prefetch(slot->chunk.triangles[(uint64_t)EXACT_RUN * child],
                            EXACT_RUN * sizeof *slot->chunk.triangles, 1);
             runs[count++] = child;
         }
     }
-    return count;
-}
-
-/* Lists the triangles of the slot's chunk that overlap the beam. */
-static void find_triangles(const struct exact_slot *slot, const struct beam *beam,
-                           struct list *list)
-{
-    uint32_t runs[MOST_RUNS];
-    const uint32_t count = find_runs(slot, beam, runs);
-    list->count = count > MOST_RUNS ? MOST_TRIANGLES + 1 : 0;
-    for (uint32_t r = 0; r < count && list->count <= MOST_TRIANGLES; r++) {
-        struct exact_box8 boxes;
-        exact_run_set(&slot->chunk, runs[r], &boxes);
-        unsigned bits = beam_crosses(beam, &boxes);
-        if (list->count + (unsigned)__builtin_popcount(bits) > MOST_TRIANGLES) {
-            list->count = MOST_TRIANGLES + 1;
-            return;
-        }
-        for (; bits; bits &= bits - 1, list->count++) {
-            const unsigned c = (unsigned)__builtin_ctz(bits), to = list->count % 8;
-            struct exact_box8 *out = &list->boxes[list->count / 8];
-            list->numbers[list->count] = EXACT_RUN * runs[r] + c;
-            for (int k = 0; k < 3; k++) {
-                out->planes[0][k][to] = boxes.planes[0][k][c];
-                out->planes[1][k][to] = boxes.planes[1][k][c];
-            }
-        }
+    for (uint32_t r = 0; r < count; r++) {
+        if (list->count + EXACT_RUN > MOST_TRIANGLES)
+            return false;
+        list_run(&slot->chunk, runs[r], beam, list);
     }
-    if (list->count <= MOST_TRIANGLES)
-        exact_box8_end(list->boxes, list->count);
+    exact_box8_end(list->boxes, list->count);
+    return true;
 }
 
 unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uint64_t first,
                                               const struct bake_ray *rays, uint32_t count,
-                                              const struct exact_limits *limits,
-                                              struct exact_best *best)
+                                              const bk_limits *limits, struct exact_best *best)
 {
     struct list list;
     unsigned improved = 0;
     struct beam beam;
-    list.count = MOST_TRIANGLES + 1;
-    if (slot->tree.levels > 0 && set_beam(&beam, rays, count, limits->t_min, limits->t_max))
-        find_triangles(slot, &beam, &list);
+    list.count = 0;
+    const bool listed = slot->tree.levels > 0 &&
+                        set_beam(&beam, rays, count, limits->t_min, limits->t_max) &&
+                        find_triangles(slot, &beam, &list);
+    if (listed && list.count == 0)
+        return 0;
     struct exact_range fresh = {0}; /* of rays without a hit, and with this reach */
     double reach = NAN;
-    for (uint32_t i = 0; i < count && list.count > 0; i++) {
+    for (uint32_t i = 0; i < count; i++) {
         struct trace trace;
         trace.slot = slot;
         trace.first = first;
@@ -290,7 +287,7 @@ unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uin
             reach = best[i].reach;
             trace.walk.range = fresh;
         }
-        if (list.count <= MOST_TRIANGLES)
+        if (listed)
             for (uint32_t b = 0; b < list.count; b += 8)
                 try_boxes(&trace, &list.numbers[b], &list.boxes[b / 8]);
         else

@@ -34,11 +34,11 @@ typedef struct bk_chunk {
 #define BK_NODE_SIZE  12
 #define BK_LEAF_SIZE  20
 
-/* Which hits of first rays count, as in struct exact_limits. */
+/* Which hits of first rays count. */
 typedef struct bk_limits {
-    double t_min, t_max, gap;
-    bk_uint sides; /* as below */
-    bk_uint from_reach;
+    double t_min, t_max, gap; /* between the first two; not nearer than the gap */
+    bk_uint sides;            /* as below */
+    bk_uint from_reach;       /* not 0: up to the ray's reach at most */
 } bk_limits;
 
 /* A first ray, and its hit so far in other chunks. */

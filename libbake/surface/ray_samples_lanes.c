@@ -12,7 +12,6 @@
 struct group {
     bk_samples samples;
     uint64_t rays[BK_WIDTH]; /* their numbers in the batch */
-    uint64_t next;           /* that of the next sample's */
 };
 
 /* Does something with the samples of a group. into: where the result goes. */
@@ -31,34 +30,6 @@ static inline void samples_take_group(struct tracing *tracing, struct group *gro
     group->samples.count = 0;
 }
 
-/* Groups the samples of a line of a square that lie in a triangle, from the left. column, end: its
- * texels in the patch. texels: sums of the line. */
-static inline void each_sample_of_line(struct tracing *tracing, const struct bk_patch *patch,
-                                       const uint32_t *triangles, uint32_t line, uint32_t column,
-                                       uint32_t end, float *texels, struct group *group,
-                                       take_group_fn *take, void *into)
-{
-    const struct bk_params *params = tracing->patches->params;
-    const uint32_t n = params->samples;
-    const float y = bk_sample_position(patch->y + line / n, line % n, n);
-    uint64_t index = ((uint64_t)line * patch->width + column) * n;
-    bk_samples *samples = &group->samples;
-    for (; column < end; column++)
-        for (uint32_t i = 0; i < n; i++, index++) {
-            if (triangles[index] == BK_NO_TRIANGLE)
-                continue;
-            samples->triangle[samples->count] = triangles[index];
-            samples->x[samples->count] = bk_sample_position(patch->x + column, i, n);
-            samples->y[samples->count] = y;
-            samples->skew[samples->count] = bk_sample_skew(params, patch, triangles, index);
-            samples->texel[samples->count] =
-                texels + column * (uint64_t)tracing->workers.texel_floats;
-            group->rays[samples->count++] = group->next++;
-            if (samples->count == BK_WIDTH)
-                samples_take_group(tracing, group, take, into);
-        }
-}
-
 /* Calls `take` for the samples of a row of squares that lie in a triangle: square by square, and
  * line by line in each. Their rays are numbered from *ray on, with gaps between squares. row: of
  * the first texels. */
@@ -66,23 +37,37 @@ static inline void each_sample_of_row(struct tracing *tracing, const struct bk_p
                                       const struct bake_patch_worker *worker, uint32_t row,
                                       uint64_t *ray, take_group_fn *take, void *into)
 {
-    const uint32_t n = tracing->patches->params->samples, side = square_side(tracing);
+    const struct bk_params *params = tracing->patches->params;
+    const uint32_t *triangles = worker->sample_triangles;
+    const uint32_t n = params->samples, side = square_side(tracing), width = patch->width;
     const uint32_t rows = side < patch->height - row ? side : patch->height - row;
     struct group group;
-    group.samples.count = 0;
-    group.next = *ray;
-    for (uint32_t column = 0; column < patch->width; column += side) {
-        const uint32_t end = side < patch->width - column ? column + side : patch->width;
-        group.next = next_bundle(group.next);
-        for (uint32_t line = 0; line < rows * n; line++)
-            each_sample_of_line(tracing, patch, worker->sample_triangles, row * n + line, column,
-                                end,
-                                worker->texels + (uint64_t)(line / n) * patch->width *
-                                                     tracing->workers.texel_floats,
-                                &group, take, into);
+    bk_samples *samples = &group.samples;
+    samples->count = 0;
+    for (uint32_t column = 0; column < width; column += side) {
+        const uint32_t end = side < width - column ? column + side : width;
+        *ray = next_bundle(*ray);
+        for (uint32_t line = row * n; line < (row + rows) * n; line++) {
+            const float y = bk_sample_position(patch->y + line / n, line % n, n);
+            uint64_t index = ((uint64_t)line * width + column) * n;
+            uint64_t texel = (line / n - row) * (uint64_t)width + column;
+            for (uint32_t x = column; x < end; x++, texel++)
+                for (uint32_t i = 0; i < n; i++, index++) {
+                    if (triangles[index] == BK_NO_TRIANGLE)
+                        continue;
+                    const uint32_t lane = samples->count++;
+                    samples->triangle[lane] = triangles[index];
+                    samples->x[lane] = bk_sample_position(patch->x + x, i, n);
+                    samples->y[lane] = y;
+                    samples->skew[lane] = bk_sample_skew(params, patch, triangles, index);
+                    samples->texel[lane] = worker->texels + texel * tracing->workers.texel_floats;
+                    group.rays[lane] = (*ray)++;
+                    if (samples->count == BK_WIDTH)
+                        samples_take_group(tracing, &group, take, into);
+                }
+        }
     }
     samples_take_group(tracing, &group, take, into);
-    *ray = group.next;
 }
 
 /* Calls `take` for the samples of a patch that lie in a triangle. ray: number of the first one's.

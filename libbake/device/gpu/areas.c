@@ -24,13 +24,12 @@ void bake_gpu_release_areas(struct bake_gpu *gpu)
         return;
     if (gpu->driver->attach)
         (void)gpu->driver->attach(gpu);
-    for (uint32_t i = 0; i < BAKE_AREAS; i++) {
-        if (gpu->areas[i])
-            gpu->driver->release(gpu, gpu->areas[i]);
-        gpu->areas[i] = 0;
-    }
-    if (gpu->shares_memory)
+    for (uint32_t i = 0; i < BAKE_AREAS; i++)
+        bake_gpu_release(gpu, &gpu->areas[i]);
+    if (gpu->shares_memory) {
         bsq_release(gpu->ctx, gpu->area_count * gpu->area_bytes);
+        gpu->reserved_bytes -= gpu->area_count * gpu->area_bytes;
+    }
     gpu->area_bytes = gpu->area_count = 0;
 }
 
@@ -48,44 +47,42 @@ static void choose_areas(struct bake_gpu *gpu, uint64_t whole, uint64_t least)
     gpu->area_bytes = fits < gpu->array_bytes ? fits : gpu->array_bytes;
 }
 
-int bake_gpu_make_areas(struct bake_gpu *gpu, uint64_t whole, uint64_t least, char *why)
+/* Makes `count` areas of `bytes` bytes, from number `first` on. */
+static int areas_allocate(struct bake_gpu *gpu, uint32_t first, uint32_t count, uint64_t bytes,
+                          char *why)
 {
     struct bake_failure failure = BAKE_NO_FAILURE;
-    bake_gpu_release_areas(gpu);
-    choose_areas(gpu, whole, least);
     if (gpu->shares_memory) {
-        const int status =
-            bsq_reserve(gpu->ctx, "chunks on the device", gpu->area_count * gpu->area_bytes);
+        const int status = bake_gpu_reserve(gpu, "chunks on the device", count * bytes);
         if (status < 0) {
             snprintf(why, BAKE_WHY_BYTES, "%s", bsq_error(gpu->ctx));
-            gpu->area_bytes = 0;
             return status;
         }
     }
     if (gpu->driver->attach)
         failure = gpu->driver->attach(gpu);
-    for (uint32_t i = 0; i < gpu->area_count && failure.code == 0; i++)
-        failure = gpu->driver->allocate(gpu, gpu->area_bytes, &gpu->areas[i]);
+    for (uint32_t i = first; i < first + count && failure.code == 0; i++)
+        failure = gpu->driver->allocate(gpu, bytes, &gpu->areas[i]);
     return bake_gpu_end_worker(gpu, gpu->streams, failure, why);
+}
+
+int bake_gpu_make_areas(struct bake_gpu *gpu, uint64_t whole, uint64_t least, char *why)
+{
+    bake_gpu_release_areas(gpu);
+    choose_areas(gpu, whole, least);
+    const int status = areas_allocate(gpu, 0, gpu->area_count, gpu->area_bytes, why);
+    if (status < 0 && status != BSQ_ENODEVICE) /* nothing was reserved */
+        gpu->area_bytes = 0;
+    return status;
 }
 
 int bake_gpu_make_wave(struct bake_gpu *gpu, uint64_t least, char *why)
 {
-    struct bake_failure failure = BAKE_NO_FAILURE;
     if (gpu->shares_memory) {
         const uint64_t share = bsq_memory_left(gpu->ctx) / 8, most = share > least ? share : least;
         gpu->wave_bytes = most < gpu->wave_bytes ? most : gpu->wave_bytes;
-        const int status = bake_gpu_reserve(gpu, "chunks on the device", gpu->wave_bytes);
-        if (status < 0) {
-            snprintf(why, BAKE_WHY_BYTES, "%s", bsq_error(gpu->ctx));
-            return status;
-        }
     }
-    if (gpu->driver->attach)
-        failure = gpu->driver->attach(gpu);
-    if (failure.code == 0)
-        failure = gpu->driver->allocate(gpu, gpu->wave_bytes, &gpu->areas[BAKE_WAVE]);
-    return bake_gpu_end_worker(gpu, gpu->streams, failure, why);
+    return areas_allocate(gpu, BAKE_WAVE, 1, gpu->wave_bytes, why);
 }
 
 /* Sends what is in the host memory of a stream, and waits. */

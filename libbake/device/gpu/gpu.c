@@ -415,18 +415,20 @@ static void note_times(struct bake_gpu *gpu, struct bake_stream *stream)
     pthread_mutex_unlock(&gpu->lock);
 }
 
+void bake_gpu_release(struct bake_gpu *gpu, bake_memory *memory)
+{
+    if (*memory)
+        gpu->driver->release(gpu, *memory);
+    *memory = 0;
+}
+
 static void close_stream(struct bake_gpu *gpu, struct bake_stream *stream)
 {
     gpu->driver->close_stream(gpu, stream);
-    if (stream->samples)
-        gpu->driver->release(gpu, stream->samples);
-    if (stream->texels)
-        gpu->driver->release(gpu, stream->texels);
-    if (stream->points)
-        gpu->driver->release(gpu, stream->points);
-    if (stream->found)
-        gpu->driver->release(gpu, stream->found);
-    stream->samples = stream->texels = stream->points = stream->found = 0;
+    bake_gpu_release(gpu, &stream->samples);
+    bake_gpu_release(gpu, &stream->texels);
+    bake_gpu_release(gpu, &stream->points);
+    bake_gpu_release(gpu, &stream->found);
     stream->open = false;
 }
 
@@ -632,13 +634,10 @@ void bake_gpu_close(struct bake_gpu *gpu)
         if (gpu->streams[i].open)
             close_stream(gpu, &gpu->streams[i]);
     for (int i = 0; i < BAKE_GRID_ARRAYS; i++)
-        if (gpu->arrays[i])
-            gpu->driver->release(gpu, gpu->arrays[i]);
+        bake_gpu_release(gpu, &gpu->arrays[i]);
     bake_gpu_release_areas(gpu);
-    if (gpu->areas[BAKE_WAVE])
-        gpu->driver->release(gpu, gpu->areas[BAKE_WAVE]);
-    if (gpu->triangles)
-        gpu->driver->release(gpu, gpu->triangles);
+    bake_gpu_release(gpu, &gpu->areas[BAKE_WAVE]);
+    bake_gpu_release(gpu, &gpu->triangles);
     gpu->driver->close(gpu);
     bsq_release(ctx, gpu->reserved_bytes);
     BSQ_FREE(ctx, gpu->streams, gpu->stream_memory);

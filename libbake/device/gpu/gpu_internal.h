@@ -11,6 +11,9 @@ void bake_launch_add(struct bake_launch *launch, const void *value, uint64_t byt
 /* Reserves bytes of the host's budget until the device is closed. */
 int bake_gpu_reserve(struct bake_gpu *gpu, const char *what, uint64_t bytes);
 
+/* Releases memory of the device, if there is any. */
+void bake_gpu_release(struct bake_gpu *gpu, bake_memory *memory);
+
 /* Attaches the calling thread, and opens a stream before its first work. */
 struct bake_failure bake_gpu_take_stream(struct bake_gpu *gpu, struct bake_stream *stream);
 /* Waits for what a worker fetches, in the host memory of the stream. */
