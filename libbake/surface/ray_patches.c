@@ -214,8 +214,11 @@ static void swap_bytes(void *a, void *b, size_t size)
 }
 
 /* Exchanges the patches of two seats. */
-static void exchange_seats(const struct tracing *tracing, uint32_t a, uint32_t b)
+static int exchange_seats(void *arg, uint64_t index, unsigned worker)
 {
+    (void)worker;
+    const struct tracing *tracing = arg;
+    const uint32_t a = tracing->exchanges[index][0], b = tracing->exchanges[index][1];
     const uint64_t n = tracing->seat_rays, x = a * n, y = b * n, values = transfer_floats(tracing);
     const struct patch patch = tracing->seated[a];
     tracing->seated[a] = tracing->seated[b];
@@ -229,31 +232,39 @@ static void exchange_seats(const struct tracing *tracing, uint32_t a, uint32_t b
     if (tracing->channels)
         swap_bytes(tracing->channels + x * values, tracing->channels + y * values,
                    n * values * sizeof *tracing->channels);
+    return 0;
 }
 
 /* Moves patches that need no chunk before `end` from seats [first, last) to the first ones of
- * these. Returns the number after their last seat. */
-static uint32_t patches_gather(struct tracing *tracing, uint32_t first, uint32_t last, uint32_t end)
+ * these. Sets *after to the number after their last seat. */
+static int patches_gather(struct tracing *tracing, uint32_t first, uint32_t last, uint32_t end,
+                          uint32_t *after)
 {
-    for (uint32_t s = first; s < last; s++)
-        if (tracing->seated[s].first >= end) {
-            if (s > first)
-                exchange_seats(tracing, s, first);
-            first++;
-        }
-    return first;
+    uint32_t count = 0;
+    for (;; count++) {
+        for (; first < last && tracing->seated[first].first >= end; first++)
+            ;
+        for (; first < last && tracing->seated[last - 1].first < end; last--)
+            ;
+        if (first == last)
+            break;
+        tracing->exchanges[count][0] = first++;
+        tracing->exchanges[count][1] = --last;
+    }
+    *after = first;
+    return bsq_parallel_for(tracing->ctx, count, exchange_seats, tracing);
 }
 
 /* Moves the patches that need chunks from `end` on from seats [first, taken) to the first ones of
  * these. */
-static void keep_waiting(struct tracing *tracing, uint32_t first, uint32_t end)
+static int keep_waiting(struct tracing *tracing, uint32_t first, uint32_t end)
 {
     for (struct patch *p = tracing->seated + first; p < tracing->seated + tracing->taken; p++)
         if (p->last < end)
             p->first = 0;
         else
             set_chunks(tracing, end, p);
-    tracing->waiting = patches_gather(tracing, first, tracing->taken, end);
+    return patches_gather(tracing, first, tracing->taken, end, &tracing->waiting);
 }
 
 /* Returns the texels of the patches that do not wait for chunks from `end` on. */
@@ -300,7 +311,8 @@ static int run_batch(struct tracing *tracing)
     const uint64_t texels = patches_count_texels(tracing, end);
     /* The share of the progress that the first rays have. */
     const uint64_t first_texels = texels / sample_cost(tracing->patches->params);
-    const uint32_t idle = patches_gather(tracing, 0, tracing->waiting, end);
+    uint32_t idle;
+    BSQ_PASS(patches_gather(tracing, 0, tracing->waiting, end, &idle));
     struct bake_surface_rays rays = rays_of(tracing, idle);
     rays.batch.progress = first_texels;
     rays.batch.first_chunk = tracing->seated[tracing->waiting].first;
@@ -309,7 +321,7 @@ static int run_batch(struct tracing *tracing)
                               BSQ_SIMD_PICK(tracing->simd, bake_cast_patch), tracing));
     BSQ_PASS(bake_surface_trace(surface, &rays));
     BSQ_PASS(bake_surface_check(surface));
-    keep_waiting(tracing, idle, end);
+    BSQ_PASS(keep_waiting(tracing, idle, end));
     rays = rays_of(tracing, tracing->waiting);
     if (tracing->patches->seen)
         BSQ_PASS(bake_seen_mark_hits(surface, tracing->patches->seen, &rays.batch));
@@ -377,6 +389,7 @@ static int allocate_rays(struct tracing *tracing)
     if (sweeps)
         BSQ_PASS(bake_exact_sweep_create(tracing->surface->scans->exact, n, &tracing->sweep));
     BSQ_PASS(BSQ_ALLOC(ctx, "patches", tracing->seat_count, &tracing->seated));
+    BSQ_PASS(BSQ_ALLOC(ctx, "patches", tracing->seat_count / 2, &tracing->exchanges));
     BSQ_PASS(BSQ_ALLOC(ctx, "rays", n, &tracing->rays));
     BSQ_PASS(BSQ_ALLOC(ctx, "hits", n, &tracing->hits));
     BSQ_PASS(BSQ_ALLOC(ctx, "rays", n, &tracing->reaches));
@@ -399,7 +412,7 @@ static void patches_release(struct tracing *tracing, struct bake_report *report)
 {
     bake_patch_workers_end(tracing->ctx, &tracing->workers, report);
     bake_look_free(tracing->look);
-    BSQ_FREE(tracing->ctx, tracing->order, tracing->seated);
+    BSQ_FREE(tracing->ctx, tracing->order, tracing->seated, tracing->exchanges);
     bake_exact_sweep_free(tracing->sweep);
     BSQ_FREE(tracing->ctx, tracing->footprint_table, tracing->rays, tracing->hits,
              tracing->next_hits, tracing->reaches, tracing->footprints, tracing->objects,

@@ -28,9 +28,10 @@ struct tracing {
     struct bake_footprint *footprint_table; /* of each triangle; NULL: not needed */
     /* The current batch: the patches in the first `taken` seats. Each has space for seat_rays. */
     uint32_t seat_count, taken;
-    uint32_t next;        /* order[next] is the first patch that had no seat yet */
-    uint32_t waiting;     /* seats from the first on whose patches an earlier batch has begun */
-    struct patch *seated; /* of each seat */
+    uint32_t next;            /* order[next] is the first patch that had no seat yet */
+    uint32_t waiting;         /* seats from the first on whose patches an earlier batch has begun */
+    struct patch *seated;     /* of each seat */
+    uint32_t (*exchanges)[2]; /* pairs of seats */
     uint64_t seat_rays;
     struct bake_ray *rays;
     struct bake_hit *hits;
