@@ -97,12 +97,13 @@ static uint32_t buckets_find_candidates(const struct sorting *s, uint64_t begin,
     const uint32_t stop = s->batch->sweep ? s->batch->end_chunk : s->exact->chunk_count;
     const uint32_t found = bake_exact_tree_overlapping(&s->exact->tree, &box, worker->candidates);
     uint32_t count = 0;
-    for (uint32_t i = 0; i < found; i++)
-        if (worker->candidates[i] >= first && worker->candidates[i] < stop)
-            worker->candidates[count++] = worker->candidates[i];
-    for (uint32_t i = 0; i < count; i++) {
-        const struct fmt_tris_chunk_info *chunk = &s->exact->chunks[worker->candidates[i]];
-        exact_box8_put(worker->boxes, i, chunk->bounds_min, chunk->bounds_max);
+    for (uint32_t i = 0; i < found; i++) {
+        const uint32_t number = worker->candidates[i];
+        const struct fmt_tris_chunk_info *chunk = &s->exact->chunks[number];
+        if (number < first || number >= stop)
+            continue;
+        exact_box8_put(worker->boxes, count, chunk->bounds_min, chunk->bounds_max);
+        worker->candidates[count++] = number;
     }
     exact_box8_end(worker->boxes, count);
     return count;

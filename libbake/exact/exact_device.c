@@ -19,9 +19,9 @@ void bake_exact_add_needs(const struct bake_exact *exact, struct bake_scene *sce
     const uint64_t place = largest_in_group(exact, 1);
     if (bk_ray_count(&scene->params) > 0)
         scene->chunk_bytes =
-            exact_larger(scene->chunk_bytes, largest_in_group(exact, exact->chunk_count));
-    scene->place_bytes = exact_larger(scene->place_bytes, place);
-    scene->wave_bytes = exact_larger(scene->wave_bytes, exact_wave_slots(exact) * place);
+            bk_upper(scene->chunk_bytes, largest_in_group(exact, exact->chunk_count));
+    scene->place_bytes = bk_upper(scene->place_bytes, place);
+    scene->wave_bytes = bk_upper(scene->wave_bytes, exact_wave_slots(exact) * place);
 }
 
 void bake_exact_set_device(struct bake_exact *exact, struct bake_device *device,
@@ -41,7 +41,7 @@ static int send_leaves(const struct bake_exact *exact, const struct exact_slot *
     for (uint32_t done = 0, count; done < runs && status == 0; done += count) {
         count = runs - done < most ? runs - done : most;
         for (uint32_t i = 0; i < count; i++)
-            bake_exact_leaf_set(&slot->chunk, done + i, !exact->two_sided, &leaves[i]);
+            bake_exact_leaf_set(&slot->chunk, NULL, done + i, !exact->two_sided, &leaves[i]);
         status = bake_device_send(exact->device, BAKE_WAVE, at + done * sizeof *leaves, leaves,
                                   count * sizeof *leaves, worker);
     }

@@ -66,34 +66,26 @@ static void sort_middles(struct bsq_middle *middles, uint32_t count)
 
 /* ---- leaves ---- */
 
-/* Sets a leaf to triangles. Returns their bounds. */
-static struct exact_box set_corners(struct exact_leaf *leaf, const struct fmt_tris_chunk *chunk,
-                                    const uint32_t triangles[EXACT_RUN], bool sided)
+struct exact_box bake_exact_leaf_set(const struct fmt_tris_chunk *chunk,
+                                     const struct bsq_middle *order, uint32_t run, bool sided,
+                                     struct exact_leaf *out)
 {
     struct exact_box box = EXACT_EMPTY_BOX;
-    leaf->backwards = 0;
+    out->backwards = 0;
     for (uint32_t i = 0; i < EXACT_RUN; i++) {
-        const uint32_t triangle = triangles[i];
+        const uint32_t left = chunk->triangle_count - EXACT_RUN * run,
+                       place = EXACT_RUN * run + (i < left ? i : left - 1),
+                       triangle = order ? order[place].number : place;
         if (sided)
-            leaf->backwards |= (uint32_t)bake_exact_wound_backwards(chunk, triangle) << i;
+            out->backwards |= (uint32_t)bake_exact_wound_backwards(chunk, triangle) << i;
         for (int corner = 0; corner < 3; corner++) {
             const float *at = chunk->positions[chunk->triangles[triangle][corner]];
             exact_box_grow(&box, at, at);
             for (int k = 0; k < 3; k++)
-                leaf->corners[corner][k][i] = at[k];
+                out->corners[corner][k][i] = at[k];
         }
     }
     return box;
-}
-
-void bake_exact_leaf_set(const struct fmt_tris_chunk *chunk, uint32_t run, bool sided,
-                         struct exact_leaf *out)
-{
-    uint32_t triangles[EXACT_RUN];
-    for (uint32_t i = 0; i < EXACT_RUN; i++)
-        triangles[i] = EXACT_RUN * run + i < chunk->triangle_count ? EXACT_RUN * run + i
-                                                                   : chunk->triangle_count - 1;
-    set_corners(out, chunk, triangles, sided);
 }
 
 void bake_exact_leaves_build(const struct fmt_tris_chunk *chunk, bool sorted, bool sided,
@@ -112,13 +104,8 @@ void bake_exact_leaves_build(const struct fmt_tris_chunk *chunk, bool sorted, bo
     }
     if (sorted)
         sort_middles(middles, count);
-    for (uint32_t r = 0; r < exact_runs(count); r++) {
-        uint32_t triangles[EXACT_RUN];
-        for (uint32_t i = 0; i < EXACT_RUN; i++)
-            triangles[i] =
-                middles[EXACT_RUN * r + i < count ? EXACT_RUN * r + i : count - 1].number;
-        boxes[r] = set_corners(&out->leaves[r], chunk, triangles, sided);
-    }
+    for (uint32_t r = 0; r < exact_runs(count); r++)
+        boxes[r] = bake_exact_leaf_set(chunk, middles, r, sided, &out->leaves[r]);
     bake_exact_tree_build(&out->tree, exact_runs(count), boxes, memory);
 }
 

@@ -31,10 +31,13 @@ uint64_t bake_exact_leaves_scratch_bytes(uint32_t triangles);
 void bake_exact_leaves_build(const struct fmt_tris_chunk *chunk, bool sorted, bool sided,
                              void *memory, void *scratch, struct exact_leaves *out);
 
-/* Makes the leaf of EXACT_RUN triangles that follow each other in the file, without a tree. The
- * last triangle stands for missing ones, whose numbers would be higher. */
-void bake_exact_leaf_set(const struct fmt_tris_chunk *chunk, uint32_t run, bool sided,
-                         struct exact_leaf *out);
+struct bsq_middle;
+/* Makes the leaf of EXACT_RUN triangles that follow each other in an order, or if that is NULL in
+ * the file. The last triangle stands for missing ones, whose numbers would be higher. Returns their
+ * bounds. */
+struct exact_box bake_exact_leaf_set(const struct fmt_tris_chunk *chunk,
+                                     const struct bsq_middle *order, uint32_t run, bool sided,
+                                     struct exact_leaf *out);
 
 /* Several chunks, with a tree over their bounds. */
 struct exact_group {

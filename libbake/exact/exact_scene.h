@@ -50,11 +50,6 @@ static inline uint32_t exact_wave_slots(const struct bake_exact *exact)
     return EXACT_SLOTS_A_THREAD * bsq_threads(exact->ctx);
 }
 
-static inline uint64_t exact_larger(uint64_t a, uint64_t b)
-{
-    return a > b ? a : b;
-}
-
 /* Returns the triangles of the largest chunk. */
 static inline uint32_t exact_most_triangles(const struct bake_exact *exact)
 {

@@ -22,9 +22,9 @@ static struct sizes buffer_sizes(const struct bake_exact *exact)
     sizes.chunk = bsq_align_up(fmt_tris_load_size_max(exact->file), BSQ_ALIGNMENT);
     sizes.tree = bsq_align_up(bake_exact_tree_bytes(exact_runs(triangles)), BSQ_ALIGNMENT);
     sizes.boxes = bsq_align_up(exact_runs(triangles) * sizeof(struct exact_box), BSQ_ALIGNMENT);
-    sizes.boxes = exact_larger(sizes.boxes, sizeof(struct exact_leaf)); /* to be sent */
+    sizes.boxes = bk_upper(sizes.boxes, sizeof(struct exact_leaf)); /* to be sent */
     const uint64_t normals = exact->smooth ? fmt_tris_normals_size_max(exact->file) : 0;
-    sizes.slot = sizes.chunk + exact_larger(sizes.tree, bsq_align_up(normals, BSQ_ALIGNMENT));
+    sizes.slot = sizes.chunk + bk_upper(sizes.tree, bsq_align_up(normals, BSQ_ALIGNMENT));
     return sizes;
 }
 
@@ -101,31 +101,23 @@ void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots)
 
 /* ---- chunks ---- */
 
-/* Returns the bounds of some triangles. */
-static struct exact_box slots_bounds_of(const struct fmt_tris_chunk *chunk, uint32_t begin,
-                                        uint32_t end)
-{
-    four_floats least, most, low, high;
-    struct exact_box box;
-    exact_triangle_bounds(chunk, begin, &least, &most);
-    for (uint32_t t = begin + 1; t < end; t++) {
-        exact_triangle_bounds(chunk, t, &low, &high);
-        least = four_floats_min(least, low);
-        most = four_floats_max(most, high);
-    }
-    memcpy(box.low, &least, sizeof box.low);
-    memcpy(box.high, &most, sizeof box.high);
-    return box;
-}
-
 /* Builds the tree of the loaded chunk. boxes: space for its runs. */
 static void build_tree(struct exact_slot *slot, struct exact_box *boxes)
 {
     const struct fmt_tris_chunk *chunk = &slot->chunk;
     const uint32_t count = chunk->triangle_count, runs = exact_runs(count);
-    for (uint32_t r = 0; r < runs; r++)
-        boxes[r] = slots_bounds_of(chunk, EXACT_RUN * r,
-                                   count - EXACT_RUN * r < EXACT_RUN ? count : EXACT_RUN * (r + 1));
+    for (uint32_t r = 0; r < runs; r++) {
+        const uint32_t end = r + 1 < runs ? EXACT_RUN * (r + 1) : count;
+        four_floats least, most, low, high;
+        exact_triangle_bounds(chunk, EXACT_RUN * r, &least, &most);
+        for (uint32_t t = EXACT_RUN * r + 1; t < end; t++) {
+            exact_triangle_bounds(chunk, t, &low, &high);
+            least = four_floats_min(least, low);
+            most = four_floats_max(most, high);
+        }
+        memcpy(boxes[r].low, &least, sizeof boxes[r].low);
+        memcpy(boxes[r].high, &most, sizeof boxes[r].high);
+    }
     bake_exact_tree_build(&slot->tree, runs, boxes, slot->tree_memory);
 }
 

@@ -266,15 +266,8 @@ unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uin
     struct exact_range fresh = {0}; /* of rays without a hit, and with this reach */
     double reach = NAN;
     for (uint32_t i = 0; i < count; i++) {
-        struct trace trace;
-        trace.slot = slot;
-        trace.first = first;
-        trace.limits = limits;
-        trace.ray = &rays[i];
-        trace.best = &best[i];
-        trace.shear = (bk_shear){0};
-        trace.sheared = trace.improved = trace.walk.ahead = trace.walk.done = false;
-        trace.walk.contents = NULL;
+        struct trace trace = {
+            .slot = slot, .first = first, .limits = limits, .ray = &rays[i], .best = &best[i]};
         if (!bk_line_set(&trace.walk.line, rays[i].origin, rays[i].direction))
             continue;
         trace.t_max =

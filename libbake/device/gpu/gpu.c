@@ -278,18 +278,13 @@ static int check_space(const struct bake_gpu *gpu, const struct bake_grid_arrays
     return 0;
 }
 
-static uint64_t gpu_lesser(uint64_t a, uint64_t b)
-{
-    return a < b ? a : b;
-}
-
 /* Divides the memory between first rays and those from hits: the first get a quarter of it, if they
  * can use as much, but at least what a chunk needs. Fails with BSQ_RETRY if the device cannot trace
  * rays through chunks of triangles. */
 static int divide_memory(struct bake_gpu *gpu, const struct bake_scene *scene)
 {
     const uint64_t chunk = scene->chunk_bytes, place = scene->place_bytes,
-                   space = gpu_lesser(gpu->memory_bytes, gpu->array_bytes),
+                   space = bk_lower(gpu->memory_bytes, gpu->array_bytes),
                    quarter = gpu->memory_bytes / 4;
     if (gpu->lacks)
         return bsq_fail(gpu->ctx, BSQ_RETRY, "%s has no %s, which triangles need", gpu->name,
@@ -302,8 +297,8 @@ static int divide_memory(struct bake_gpu *gpu, const struct bake_scene *scene)
     const uint64_t share = chunk == 0        ? space
                            : place < quarter ? quarter
                                              : place,
-                   most = gpu_lesser(share, gpu_lesser(space, gpu->memory_bytes - chunk));
-    gpu->wave_bytes = gpu_lesser(scene->wave_bytes, most);
+                   most = bk_lower(share, bk_lower(space, gpu->memory_bytes - chunk));
+    gpu->wave_bytes = bk_lower(scene->wave_bytes, most);
     gpu->memory_bytes -= gpu->wave_bytes;
     return 0;
 }

@@ -5,30 +5,20 @@
 
 /* ---- launch batches ---- */
 
-static uint32_t min_u32(uint32_t a, uint32_t b)
-{
-    return a < b ? a : b;
-}
-
-static uint32_t max_u32(uint32_t a, uint32_t b)
-{
-    return a > b ? a : b;
-}
-
 uint32_t bake_batch_samples(const struct bk_params *params)
 {
     const uint32_t rays = bk_ray_count(params);
     const uint32_t most = rays > 0 ? BAKE_BATCH_RAYS / rays : BAKE_BATCH_SAMPLES;
-    return max_u32(min_u32(most, BAKE_BATCH_SAMPLES), params->samples);
+    return bk_upper(bk_lower(most, BAKE_BATCH_SAMPLES), params->samples);
 }
 
 struct bk_batch bake_first_batch(const struct bk_params *params, const struct bk_patch *patch)
 {
     const uint32_t n = params->samples, most = bake_batch_samples(params);
-    const uint32_t lines = min_u32(n, max_u32(min_u32(BAKE_BATCH_THREAD, most) / n, 1));
-    const uint32_t texels = max_u32(most / (lines * n), 1);
-    return (struct bk_batch){.end_column = min_u32(patch->width, texels),
-                             .end_row = min_u32(patch->height, max_u32(texels / patch->width, 1)),
+    const uint32_t lines = bk_lower(n, bk_upper(bk_lower(BAKE_BATCH_THREAD, most) / n, 1));
+    const uint32_t texels = bk_upper(most / (lines * n), 1);
+    return (struct bk_batch){.end_column = bk_lower(patch->width, texels),
+                             .end_row = bk_lower(patch->height, bk_upper(texels / patch->width, 1)),
                              .end_line = lines};
 }
 
@@ -47,9 +37,9 @@ bool bake_next_batch(const struct bk_params *params, const struct bk_patch *patc
         batch->first_column = batch->end_column < patch->width ? batch->end_column : 0;
     if (batch->first_line == 0 && batch->first_column == 0)
         batch->first_row = batch->end_row;
-    batch->end_line = min_u32(params->samples, batch->first_line + first->end_line);
-    batch->end_column = min_u32(patch->width, batch->first_column + first->end_column);
-    batch->end_row = min_u32(patch->height, batch->first_row + first->end_row);
+    batch->end_line = bk_lower(params->samples, batch->first_line + first->end_line);
+    batch->end_column = bk_lower(patch->width, batch->first_column + first->end_column);
+    batch->end_row = bk_lower(patch->height, batch->first_row + first->end_row);
     return batch->first_row < patch->height;
 }
 
