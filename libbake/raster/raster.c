@@ -4,10 +4,9 @@
  * second one writes the lists. Snapped triangles are not stored: computing them again costs less
  * than the memory traffic.
  *
- * The first triangle in the order of the mesh takes a sample. Painting only detects whether any
- * samples overlap. A second pass counts them, for the few patches that have some: it needs a mark
- * for each sample. Both stop as soon as no triangle can change the result, so that thousands of
- * triangles over the same texels cost no more than a few. */
+ * The first triangle in the order of the mesh takes a sample, and the next one there marks it. This
+ * stops as soon as all samples are marked, so that thousands of triangles over the same texels cost
+ * no more than a few. */
 #include "libbake/raster/raster_internal.h"
 
 #include <math.h>
@@ -16,6 +15,9 @@
 /* Samples along a side of the map. Corners are then snapped to 1/16 of the distance of two samples.
  */
 #define MAX_SAMPLES_A_SIDE (UINT32_C(1) << 24)
+
+/* Of a sample that is in several triangles: added to the number of its own. */
+#define OVERLAPPED (UINT32_C(1) << 31)
 
 /* Triangles between two checks for an interruption. One triangle may overlap all patches. */
 enum { TRIANGLES_A_CHECK = 64 };
@@ -321,9 +323,9 @@ static int raster_check_options(struct bsq_ctx *ctx, const struct bake_lowmesh *
             "a map of %u x %u texels with %u x %u samples each is too large: %u samples "
             "a side are supported",
             o->width, o->height, o->samples, o->samples, MAX_SAMPLES_A_SIDE);
-    if (mesh->triangle_count >= BK_NO_TRIANGLE)
+    if (mesh->triangle_count >= OVERLAPPED)
         return bsq_fail(ctx, BSQ_EDATA, "low-poly mesh has %llu triangles, %u are supported",
-                        (unsigned long long)mesh->triangle_count, BK_NO_TRIANGLE - 1);
+                        (unsigned long long)mesh->triangle_count, OVERLAPPED - 1);
     return 0;
 }
 
@@ -400,109 +402,42 @@ static struct raster_window patch_window(const struct bake_raster *raster, uint3
                                   (patch.y + patch.height) * n};
 }
 
-/* Gives the free samples of a span to a triangle. Returns the number of those that are not free. */
+/* Gives the free samples of a span to a triangle, and marks the others. Returns how many were not
+ * marked before. */
 static uint32_t paint_span(uint32_t *samples, uint32_t count, uint32_t triangle)
 {
-    uint32_t taken = 0;
+    uint32_t marked = 0;
     for (uint32_t i = 0; i < count; i++) {
-        uint32_t owner = samples[i];
-        taken += owner != BK_NO_TRIANGLE;
-        samples[i] = owner == BK_NO_TRIANGLE ? triangle : owner;
+        const uint32_t owner = samples[i];
+        marked += !(owner & OVERLAPPED);
+        samples[i] = owner == BK_NO_TRIANGLE ? triangle : owner | OVERLAPPED;
     }
-    return taken;
+    return marked;
 }
 
-/* Paints the triangles of a patch in the order of the mesh. Sets *overlap if any samples overlap.
+/* Paints the triangles of a patch in the order of the mesh. *overlaps: how many samples are marked.
  */
 static int paint_patch(const struct bake_raster *raster, uint32_t index, uint32_t *samples,
-                       bool *overlap)
+                       uint64_t *overlaps)
 {
     const struct raster_window window = patch_window(raster, index);
     const uint64_t stride = window.end_x - window.begin_x;
+    const uint64_t count = stride * (window.end_y - window.begin_y);
     struct raster_triangle snapped;
-    uint64_t free = stride * (window.end_y - window.begin_y);
     uint32_t begin, end;
-    *overlap = false;
-    for (uint64_t k = raster->starts[index];
-         k < raster->starts[index + 1] && !(free == 0 && *overlap); k++) {
+    *overlaps = 0;
+    for (uint64_t k = raster->starts[index]; k < raster->starts[index + 1] && *overlaps < count;
+         k++) {
         BSQ_PASS(bsq_check(raster->ctx));
         if (!bake_raster_snap(raster, raster->triangles[k], &snapped))
             continue;
         const struct raster_window rows = raster_rows(&raster->grid, &snapped, window);
-        for (uint32_t row = rows.begin_y; row < rows.end_y; row++) {
-            if (!find_span(&raster->grid, &snapped, &rows, row, &begin, &end))
-                continue;
-            uint32_t *first = samples + (row - window.begin_y) * stride + (begin - window.begin_x);
-            uint32_t taken = paint_span(first, end - begin, raster->triangles[k]);
-            free -= end - begin - taken;
-            *overlap |= taken > 0;
-        }
+        for (uint32_t row = rows.begin_y; row < rows.end_y; row++)
+            if (find_span(&raster->grid, &snapped, &rows, row, &begin, &end))
+                *overlaps +=
+                    paint_span(samples + (row - window.begin_y) * stride + (begin - window.begin_x),
+                               end - begin, raster->triangles[k]);
     }
-    return 0;
-}
-
-/* ---- overlaps ---- */
-
-#define MARK_SIDE 256 /* samples; their marks, one bit each, fit 8 KiB */
-
-/* Marks the samples x, begin <= x < end, that another triangle owns. Returns how many were not
- * marked before. */
-static uint32_t mark_span(const uint32_t *owners, uint64_t *bits, uint32_t begin, uint32_t end,
-                          uint32_t triangle)
-{
-    uint32_t count = 0;
-    for (uint32_t x = begin; x < end; x++) {
-        const uint64_t overlapped = owners[x] != triangle, unmarked = ~bits[x / 64] >> x % 64;
-        bits[x / 64] |= overlapped << x % 64;
-        count += (uint32_t)(overlapped & unmarked);
-    }
-    return count;
-}
-
-/* Adds to *count the samples of a painted patch that lie inside more than one triangle: those
- * inside a triangle that does not own them. The window has at most MARK_SIDE x MARK_SIDE samples.
- */
-static int count_overlaps_in(const struct bake_raster *raster, uint32_t index,
-                             const uint32_t *samples, struct raster_window window, uint64_t *count)
-{
-    const struct raster_window patch = patch_window(raster, index);
-    const uint64_t stride = patch.end_x - patch.begin_x;
-    uint64_t marks[MARK_SIDE][MARK_SIDE / 64] = {{0}};
-    uint64_t unmarked = (uint64_t)(window.end_x - window.begin_x) * (window.end_y - window.begin_y);
-    struct raster_triangle snapped;
-    uint32_t begin, end;
-    for (uint64_t k = raster->starts[index]; k < raster->starts[index + 1] && unmarked > 0; k++) {
-        BSQ_PASS(bsq_check(raster->ctx));
-        if (!bake_raster_snap(raster, raster->triangles[k], &snapped))
-            continue;
-        const struct raster_window rows = raster_rows(&raster->grid, &snapped, window);
-        for (uint32_t row = rows.begin_y; row < rows.end_y; row++) {
-            if (!find_span(&raster->grid, &snapped, &rows, row, &begin, &end))
-                continue;
-            const uint32_t *owners = samples + (row - patch.begin_y) * stride;
-            uint32_t added =
-                mark_span(owners + (window.begin_x - patch.begin_x), marks[row - window.begin_y],
-                          begin - window.begin_x, end - window.begin_x, raster->triangles[k]);
-            unmarked -= added;
-            *count += added;
-        }
-    }
-    return 0;
-}
-
-static int count_overlaps(const struct bake_raster *raster, uint32_t index, const uint32_t *samples,
-                          uint64_t *count)
-{
-    const struct raster_window patch = patch_window(raster, index);
-    for (uint32_t y = patch.begin_y; y < patch.end_y; y += MARK_SIDE)
-        for (uint32_t x = patch.begin_x; x < patch.end_x; x += MARK_SIDE) {
-            struct raster_window window = {x, y, patch.end_x, patch.end_y};
-            if (patch.end_x - x > MARK_SIDE)
-                window.end_x = x + MARK_SIDE;
-            if (patch.end_y - y > MARK_SIDE)
-                window.end_y = y + MARK_SIDE;
-            BSQ_PASS(count_overlaps_in(raster, index, samples, window, count));
-        }
     return 0;
 }
 
@@ -533,12 +468,11 @@ int bake_raster_fill(const struct bake_raster *raster, uint32_t index, uint32_t 
 {
     const struct raster_window window = patch_window(raster, index);
     const size_t count = (size_t)(window.end_x - window.begin_x) * (window.end_y - window.begin_y);
-    bool overlap;
     memset(sample_triangles, 0xff, count * sizeof *sample_triangles); /* BK_NO_TRIANGLE */
-    *overlaps = 0;
-    BSQ_PASS(paint_patch(raster, index, sample_triangles, &overlap));
-    if (overlap)
-        BSQ_PASS(count_overlaps(raster, index, sample_triangles, overlaps));
+    BSQ_PASS(paint_patch(raster, index, sample_triangles, overlaps));
+    for (size_t i = 0; i<count && * overlaps> 0; i++)
+        if (sample_triangles[i] != BK_NO_TRIANGLE)
+            sample_triangles[i] &= ~OVERLAPPED;
     if (raster->options.skew.textures)
         return fill_skews(raster, &window, sample_triangles, sample_triangles + count);
     return 0;
