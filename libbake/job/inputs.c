@@ -257,17 +257,28 @@ static int begin_tiles(struct bake_job *job)
 /* Opens the skew maps of all tiles. */
 static int open_skew(struct bake_job *job)
 {
+    enum { LEAST_CACHE = 12 << 20, MOST_CACHE = 256 << 20 };
+    const char *path = job->options->skew_path;
     const uint32_t count = job->udim.count;
-    uint32_t *numbers;
-    if (!job->options->skew_path)
+    struct fmt_texture_source *sources = NULL;
+    uint64_t cache = bsq_memory_left(job->ctx) / 16;
+    int status = 0;
+    if (!path)
         return 0;
-    BSQ_PASS(BSQ_ALLOC(job->ctx, "tiles", count, &numbers));
-    for (uint32_t i = 0; i < count; ++i)
-        numbers[i] = job->udim.tiles[i].number;
-    int status = bake_skew_open(job->ctx, job->options->skew_path, numbers, count, &job->skew);
-    for (uint32_t i = 0; i < count; ++i)
-        job->tiles[i].skew = (struct bake_skew_image){job->skew, i};
-    bsq_free(job->ctx, numbers);
+    cache = cache < LEAST_CACHE ? LEAST_CACHE : cache > MOST_CACHE ? MOST_CACHE : cache;
+    BSQ_TRY(BSQ_CALLOC(job->ctx, "skew map", count, &sources));
+    for (uint32_t i = 0; i < count; i++) {
+        char *name = bake_tile_path(path, job->udim.tiles[i].number);
+        sources[i] = (struct fmt_texture_source){.path = name, .data = true};
+        BSQ_TRY(name ? bsq_note_input(job->ctx, name, "the skew map")
+                     : bsq_fail(job->ctx, BSQ_ENOMEM, "%s: out of memory", path));
+    }
+    BSQ_TRY(fmt_textures_open(job->ctx, sources, count, cache, &job->skew));
+    status = fmt_textures_tell_losses(job->skew);
+done:
+    for (uint32_t i = 0; sources && i < count; i++)
+        free((void *)(uintptr_t)sources[i].path);
+    bsq_free(job->ctx, sources);
     return status;
 }
 

@@ -11,7 +11,6 @@
 #include "libbake/curvature/curvature.h"
 #include "libbake/filter/filter.h"
 #include "libbake/preview/preview.h"
-#include "libbake/skew/skew.h"
 
 /* What the header of a part's file says, see FORMATS.md. All but the counts must be those of the
  * bake. */
@@ -42,7 +41,6 @@ struct bake_tile {
     bool in_blocks;      /* bakes `blocks` only, into an image of them */
     struct bake_blocks blocks;
     uint32_t *shares; /* for each block: the part that bakes it, from 0 on; NULL: there are none */
-    struct bake_skew_image skew;
     struct bake_raster *raster;
     struct bake_image *image;
     struct bake_map_files *files;

@@ -28,7 +28,8 @@ static int rasterise(const struct bake_job *job, struct bake_tile *tile)
                                                .first = tile->udim.first,
                                                .count = tile->udim.count,
                                                .blocks = tile->in_blocks ? &tile->blocks : NULL,
-                                               .skew = tile->skew};
+                                               .skew = job->skew,
+                                               .skew_number = (uint32_t)(tile - job->tiles)};
     struct bake_raster_report counts = {0};
     BSQ_PASS(bake_raster_create(job->ctx, &job->mesh, &raster, &counts, &tile->raster));
     if (!tile->in_blocks)

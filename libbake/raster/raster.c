@@ -443,6 +443,19 @@ static int paint_patch(const struct bake_raster *raster, uint32_t index, uint32_
 
 /* ---- skews ---- */
 
+/* Sets *out to the mean of the first channel over a box around (u, v) in the tile, with v upwards
+ * and sides du and dv: from 0 to BK_SKEW_ONE. */
+static int sample_skew(const struct bake_raster_options *o, float u, float v, float du, float dv,
+                       uint32_t *out)
+{
+    static const uint8_t wrap[2] = {FMT_WRAP_CLAMP, FMT_WRAP_CLAMP};
+    float rgb[3];
+    const int status = fmt_texture_sample(o->skew, o->skew_number, wrap, u, v, du, dv, rgb);
+    const float value = rgb[0] > 0 ? fminf(rgb[0], 1.0F) : 0; /* not a number: 0 */
+    *out = status == 0 ? (uint32_t)(value * (float)BK_SKEW_ONE + 0.5F) : 0;
+    return status;
+}
+
 /* Writes the skews of the samples that have triangles. */
 static int fill_skews(const struct bake_raster *raster, const struct raster_window *window,
                       const uint32_t *samples, uint32_t *skews)
@@ -458,7 +471,7 @@ static int fill_skews(const struct bake_raster *raster, const struct raster_wind
         const float y = (float)(window->begin_y + (uint32_t)(i / columns)) + 0.5F;
         skews[i] = 0;
         if (samples[i] != BK_NO_TRIANGLE)
-            status = bake_skew_sample(&o->skew, x * du, 1.0F - y * dv, du, dv, &skews[i]);
+            status = sample_skew(o, x * du, 1.0F - y * dv, du, dv, &skews[i]);
     }
     return status;
 }
@@ -473,7 +486,7 @@ int bake_raster_fill(const struct bake_raster *raster, uint32_t index, uint32_t 
     for (size_t i = 0; i<count && * overlaps> 0; i++)
         if (sample_triangles[i] != BK_NO_TRIANGLE)
             sample_triangles[i] &= ~OVERLAPPED;
-    if (raster->options.skew.textures)
+    if (raster->options.skew)
         return fill_skews(raster, &window, sample_triangles, sample_triangles + count);
     return 0;
 }

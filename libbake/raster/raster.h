@@ -4,9 +4,9 @@
 #ifndef BAKE_RASTER_RASTER_H
 #define BAKE_RASTER_RASTER_H
 
+#include "formats/texture/texture.h"
 #include "libbake/kernel/bk_types.h"
 #include "libbake/lowpoly/lowpoly.h"
-#include "libbake/skew/skew.h"
 
 /* Blocks of a map, squares of texels in row order, of which a job bakes some. Those at the right
  * and lower border may be smaller. */
@@ -31,8 +31,11 @@ struct bake_raster_options {
     uint32_t patch_side; /* side in texels; patches at the right and lower border may be smaller */
     uint64_t first, count; /* triangles of the mesh to rasterise */
     const struct bake_blocks
-        *blocks;                 /* makes patches in these blocks only; NULL: in all of the map */
-    struct bake_skew_image skew; /* gives samples their skews */
+        *blocks; /* makes patches in these blocks only; NULL: in all of the map */
+    /* Grey images in the texture space of tiles, which turn rays: white is 1, along the normal of
+     * the triangle. NULL: there are none. skew_number: of the tile's. */
+    struct fmt_textures *skew;
+    uint32_t skew_number;
 };
 
 struct bake_raster_report {
@@ -63,7 +66,7 @@ static inline uint64_t bake_raster_texel_entries(const struct bk_params *params)
  * triangle. If triangles overlap, the first one in the mesh takes the sample; *overlaps is set to
  * the number of samples inside more than one triangle. A sample on an edge that two triangles share
  * belongs to exactly one of them (top-left rule on exact fixed-point coordinates). Thread-safe.
- * Errors: BSQ_EINTR, and those of bake_skew_sample(). */
+ * Errors: BSQ_EINTR, and those of fmt_texture_sample(). */
 int bake_raster_fill(const struct bake_raster *raster, uint32_t index, uint32_t *sample_triangles,
                      uint64_t *overlaps);
 

@@ -100,7 +100,7 @@ static struct bake_raster *create(struct fixture *f, uint32_t width, uint32_t he
                                   uint32_t patch_side, struct bake_raster_report *report)
 {
     const struct bake_raster_options options = {
-        width, height, n, patch_side, 0, f->mesh.triangle_count, NULL, {NULL, 0}};
+        width, height, n, patch_side, 0, f->mesh.triangle_count, NULL, NULL, 0};
     struct bake_raster *raster = NULL;
     if (bake_raster_create(f->ctx, &f->mesh, &options, report, &raster) < 0)
         fail_msg("%s", bsq_error(f->ctx));
@@ -449,12 +449,12 @@ FIXTURE_TEST(test_many_triangles_over_the_same_texels)
 
 FIXTURE_TEST(test_senseless_options_are_refused)
 {
-    const struct bake_raster_options options[] = {{0, 64, 1, 16, 0, 0, NULL, {NULL, 0}},
-                                                  {64, 64, 0, 16, 0, 0, NULL, {NULL, 0}},
-                                                  {64, 64, 1, 0, 0, 0, NULL, {NULL, 0}},
-                                                  {UINT32_MAX, 64, 2, 64, 0, 0, NULL, {NULL, 0}},
-                                                  {1 << 20, 64, 1 << 20, 64, 0, 0, NULL, {NULL, 0}},
-                                                  {1 << 20, 1 << 20, 1, 1, 0, 0, NULL, {NULL, 0}}};
+    const struct bake_raster_options options[] = {{0, 64, 1, 16, 0, 0, NULL, NULL, 0},
+                                                  {64, 64, 0, 16, 0, 0, NULL, NULL, 0},
+                                                  {64, 64, 1, 0, 0, 0, NULL, NULL, 0},
+                                                  {UINT32_MAX, 64, 2, 64, 0, 0, NULL, NULL, 0},
+                                                  {1 << 20, 64, 1 << 20, 64, 0, 0, NULL, NULL, 0},
+                                                  {1 << 20, 1 << 20, 1, 1, 0, 0, NULL, NULL, 0}};
     for (int k = 0; k < 6; k++) {
         struct bake_raster_report report;
         struct bake_raster *raster = NULL;
@@ -482,7 +482,7 @@ FIXTURE_TEST(test_blocks_divide_a_map)
             slots[b] = b % 2 == part ? used++ : BAKE_NO_PLACE;
         const struct bake_blocks blocks = {SIDE, COLUMNS, ROWS, used, slots};
         const struct bake_raster_options options = {
-            WIDTH, HEIGHT, 1, PATCH, 0, f->mesh.triangle_count, &blocks, {NULL, 0}};
+            WIDTH, HEIGHT, 1, PATCH, 0, f->mesh.triangle_count, &blocks, NULL, 0};
         struct bake_raster *raster = NULL;
         assert_int_equal(bake_raster_create(f->ctx, &f->mesh, &options, &report, &raster), 0);
         uint32_t at = 0;
