@@ -214,6 +214,8 @@ static void name_pose(const struct fit *fit, const struct pose *pose, char out[1
     for (int k = 0; k < 3; ++k)
         if (fabs(all.shift[k]) > least)
             add_key(out, "%c=%.4g", 'x' + k, all.shift[k]);
+    if (out[0] == '\0')
+        strcpy(out, "no --low");
 }
 
 /* Reports a pose in which the mesh fits. A shift and a scale that is not of a unit are near what

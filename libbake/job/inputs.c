@@ -175,18 +175,17 @@ static int begin_tile(struct bsq_ctx *ctx, const struct bake_options *options, u
     return out->beside ? 0 : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
 }
 
-/* Notes the tiles and their sizes in the report. */
-static int report_tiles(struct bake_job *job)
+int bake_note_tiles(struct bake_job *job)
 {
     struct bake_report *report = job->report;
     assert(job->udim.count > 0);
     report->tiles = calloc(job->udim.count, sizeof *report->tiles);
     if (!report->tiles)
         return bsq_fail(job->ctx, BSQ_ENOMEM, "out of memory");
-    report->tile_count = job->udim.count;
-    for (uint32_t i = 0; i < job->udim.count; ++i) {
-        const struct bake_tile *tile = &job->tiles[i];
-        struct bake_baked_tile *to = &report->tiles[i];
+    for (const struct bake_tile *tile = job->tiles; tile < job->tiles + job->udim.count; ++tile) {
+        if (tile->skipped)
+            continue;
+        struct bake_baked_tile *to = &report->tiles[report->tile_count++];
         *to = (struct bake_baked_tile){.tile = tile->udim.number,
                                        .width = tile->options.width,
                                        .height = tile->options.height,
@@ -251,7 +250,7 @@ static int begin_tiles(struct bake_job *job)
                             &job->tiles[i]));
     BSQ_PASS(check_tile_paths(job));
     job->report->outside_uv_triangles = job->udim.outside_triangles;
-    return report_tiles(job);
+    return 0;
 }
 
 /* Opens the skew maps of all tiles. */

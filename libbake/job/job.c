@@ -52,22 +52,6 @@ static int skip_tiles(struct bake_job *job, const struct bake_options *asked)
                     : bsq_fail(job->ctx, BSQ_EUSAGE, "no triangle lies in the tiles of --tiles");
 }
 
-/* Removes what was left out from the report. */
-static void report_written(struct bake_job *job)
-{
-    struct bake_report *report = job->report;
-    report->tile_count = 0;
-    for (uint32_t i = 0; i < job->udim.count; i++) {
-        struct bake_baked_tile *tile = &report->tiles[i];
-        if (!job->tiles[i].skipped) {
-            report->tiles[report->tile_count++] = *tile;
-        } else {
-            free(tile->object);
-            free(tile->material);
-        }
-    }
-}
-
 /* asked: the options of the caller, whose tiles a merge may write only. */
 static int job_run(struct bake_job *job, const struct bake_options *asked)
 {
@@ -77,9 +61,11 @@ static int job_run(struct bake_job *job, const struct bake_options *asked)
     if (asked->part && asked->tile_range_count > 0)
         return bsq_fail(job->ctx, BSQ_EUSAGE, "a part has all tiles: give --tiles to --merge only");
     BSQ_PASS(bake_open_inputs(job));
+    if (!options->part)
+        BSQ_PASS(skip_tiles(job, asked));
+    BSQ_PASS(bake_note_tiles(job));
     if (options->part)
         return bake_run_part(job);
-    BSQ_PASS(skip_tiles(job, asked));
     BSQ_PASS(bake_check_outputs(job));
     BSQ_PASS(bake_set_params(job));
     BSQ_PASS(bake_open_outputs(job));
@@ -95,7 +81,6 @@ static int job_run(struct bake_job *job, const struct bake_options *asked)
     job->report->seconds_preview = committing - written;
     BSQ_PASS(bake_commit_outputs(job));
     job->report->seconds_write += bsq_seconds_now() - committing;
-    report_written(job);
     return 0;
 }
 

@@ -79,6 +79,8 @@ struct bake_job {
 
 /* Opens the scan and the low-poly mesh, chooses the maps and finds the tiles. */
 int bake_open_inputs(struct bake_job *job);
+/* Notes the tiles that are not skipped and their sizes in the report. */
+int bake_note_tiles(struct bake_job *job);
 /* Sets the parameters of rays, for which it measures distances if they are not given, and checks
  * whether the meshes fit: see bake_fit(). */
 int bake_set_params(struct bake_job *job);

@@ -297,6 +297,11 @@ sure both 0.25 --extrude 0.2
 
 # ---- what the options do ----
 
+mesh low.obj statue 30
+$bake statue.tris low.obj -o wrong.png --low scale=0.01
+code 65
+holds 'the mesh fits with no --low' grep -q '% with no --low; to bake it all the same: --as-is$' "$err"
+
 # A mesh that was turned, scaled and shifted and is placed again gives the same map.
 mesh low.obj statue 30
 ok $bake statue.tris low.obj -o plain.exr
