@@ -15,6 +15,10 @@ static inline struct bsq_vec3 bsq_v3(float x, float y, float z)
 {
     return (struct bsq_vec3){x, y, z};
 }
+static inline struct bsq_vec3 bsq_load3(const float v[3])
+{
+    return bsq_v3(v[0], v[1], v[2]);
+}
 static inline struct bsq_vec3 bsq_add3(struct bsq_vec3 a, struct bsq_vec3 b)
 {
     return bsq_v3(a.x + b.x, a.y + b.y, a.z + b.z);

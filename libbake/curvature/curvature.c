@@ -64,8 +64,7 @@ static struct bsq_vec3 curvature_add(struct bsq_vec3 a, float s, struct bsq_vec3
 
 static struct bsq_vec3 normal_of(const struct work *work, uint64_t texel)
 {
-    const float *n = work->texels + texel * work->channels + work->curvature->offset + NORMAL;
-    return bsq_v3(n[0], n[1], n[2]);
+    return bsq_load3(work->texels + texel * work->channels + work->curvature->offset + NORMAL);
 }
 
 static bool curvature_is_valid(const struct work *work, uint64_t texel)
@@ -112,8 +111,8 @@ static void curvature_take_hit(const struct work *work, uint64_t probe, const st
                                const struct bake_hit *hit)
 {
     const uint32_t number = (uint32_t)(probe % PROBES);
-    const struct bsq_vec3 d = bsq_v3(ray->direction[0], ray->direction[1], ray->direction[2]);
-    const struct bsq_vec3 normal = bsq_v3(hit->normal[0], hit->normal[1], hit->normal[2]);
+    const struct bsq_vec3 d = bsq_load3(ray->direction);
+    const struct bsq_vec3 normal = bsq_load3(hit->normal);
     const struct bsq_vec3 out = outwards(normal_of(work, probe / PROBES), number);
     const float distance = distance_of(work, number);
     if (hit->triangle == BAKE_NO_HIT || !(bsq_dot3(normal, d) > 0.0f))

@@ -164,8 +164,8 @@ static void take_points(struct work *work, float *texel)
     if (!is_in_window(work, texel, &layer))
         return;
     struct point *point = &work->points[work->next[layer]];
-    *point = (struct point){.at = bsq_v3(guide[0], guide[1], guide[2]),
-                            .normal = bsq_v3(guide[NORMAL], guide[NORMAL + 1], guide[NORMAL + 2]),
+    *point = (struct point){.at = bsq_load3(guide),
+                            .normal = bsq_load3(guide + NORMAL),
                             .cell = filter_cell_of(work, guide)};
     for (uint32_t i = 0; i < work->filter->count; i++)
         point->values[i] = texel[work->filter->offsets[i]];

@@ -127,7 +127,7 @@ static bool set_ray_from_hit(const struct fit *fit, const struct probe *from, bo
 {
     struct probe probe = *from;
     const bool found = !isinf(probe.t);
-    const struct bsq_vec3 n = bsq_unit3(bsq_v3(probe.normal[0], probe.normal[1], probe.normal[2]));
+    const struct bsq_vec3 n = bsq_unit3(bsq_load3(probe.normal));
     const float way[3] = {n.x, n.y, n.z};
     for (int k = 0; k < 3; ++k) {
         probe.at[k] += found ? probe.t * (double)way[k] : 0;

@@ -89,7 +89,7 @@ void bake_fit_set_ray(const struct fit *fit, const struct probe *probe, const st
 {
     const struct bake_surface *surface = fit->surface;
     struct bake_ray *ray = &fit->rays[index];
-    struct bsq_vec3 n = bsq_v3(probe->normal[0], probe->normal[1], probe->normal[2]);
+    struct bsq_vec3 n = bsq_load3(probe->normal);
     double at[3];
     memcpy(at, probe->at, sizeof at);
     if (pose) {

@@ -20,17 +20,12 @@ enum { CORNERS_A_CHECK = 1 << 14 };
  * as their edges, and low-poly meshes do not touch the scan with every vertex. */
 #define RISES 1.5
 
-static struct bsq_vec3 tangent_vector(const float v[3])
-{
-    return bsq_v3(v[0], v[1], v[2]);
-}
-
 /* Returns the angle of a triangle at corner i, 0 to pi; 0 if an edge there has no length. */
 static double corner_angle(const float (*p)[3], int i)
 {
-    const struct bsq_vec3 at = tangent_vector(p[i]);
-    const struct bsq_vec3 a = bsq_unit3(bsq_sub3(tangent_vector(p[(i + 1) % 3]), at));
-    const struct bsq_vec3 b = bsq_unit3(bsq_sub3(tangent_vector(p[(i + 2) % 3]), at));
+    const struct bsq_vec3 at = bsq_load3(p[i]);
+    const struct bsq_vec3 a = bsq_unit3(bsq_sub3(bsq_load3(p[(i + 1) % 3]), at));
+    const struct bsq_vec3 b = bsq_unit3(bsq_sub3(bsq_load3(p[(i + 2) % 3]), at));
     return atan2((double)bsq_length3(bsq_cross3(a, b)), (double)bsq_dot3(a, b));
 }
 
@@ -68,9 +63,9 @@ static double corner_weight(bool by_area, const float (*p)[3], int i)
 {
     if (!by_area)
         return corner_angle(p, i);
-    const struct bsq_vec3 at = tangent_vector(p[0]);
+    const struct bsq_vec3 at = bsq_load3(p[0]);
     return (double)bsq_length3(
-        bsq_cross3(bsq_sub3(tangent_vector(p[1]), at), bsq_sub3(tangent_vector(p[2]), at)));
+        bsq_cross3(bsq_sub3(bsq_load3(p[1]), at), bsq_sub3(bsq_load3(p[2]), at)));
 }
 
 static int smooth(struct bsq_ctx *ctx, bool by_area, uint32_t count, const float (*positions)[3],
@@ -110,9 +105,9 @@ int bake_mean_normals(struct bsq_ctx *ctx, bool by_area, uint32_t corners,
 static double rise_over(const float a[3], const float b[3], const float normal_a[3],
                         const float normal_b[3])
 {
-    const struct bsq_vec3 edge = bsq_sub3(tangent_vector(b), tangent_vector(a));
-    const struct bsq_vec3 turn = bsq_sub3(tangent_vector(normal_b), tangent_vector(normal_a));
-    const double cosine = (double)bsq_dot3(tangent_vector(normal_a), tangent_vector(normal_b));
+    const struct bsq_vec3 edge = bsq_sub3(bsq_load3(b), bsq_load3(a));
+    const struct bsq_vec3 turn = bsq_sub3(bsq_load3(normal_b), bsq_load3(normal_a));
+    const double cosine = (double)bsq_dot3(bsq_load3(normal_a), bsq_load3(normal_b));
     const double bend = (double)bsq_dot3(turn, edge);
     if (!(cosine >= LEAST_COSINE && bend > 0))
         return 0;
@@ -141,9 +136,8 @@ static void set_reaches(uint64_t count, const float (*positions)[3][3],
 
 static void face_directions(const float (*p)[3], const float (*normals)[3], float (*out)[3])
 {
-    const struct bsq_vec3 n =
-        bsq_unit3(bsq_cross3(bsq_sub3(tangent_vector(p[1]), tangent_vector(p[0])),
-                             bsq_sub3(tangent_vector(p[2]), tangent_vector(p[0]))));
+    const struct bsq_vec3 n = bsq_unit3(bsq_cross3(bsq_sub3(bsq_load3(p[1]), bsq_load3(p[0])),
+                                                   bsq_sub3(bsq_load3(p[2]), bsq_load3(p[0]))));
     const bool flat = bsq_dot3(n, n) == 0;
     for (int i = 0; i < 3; i++)
         memcpy(out[i], flat ? normals[i] : (const float[3]){n.x, n.y, n.z}, sizeof *out);

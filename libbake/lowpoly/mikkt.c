@@ -225,11 +225,6 @@ struct tangents {
     float (*out)[4];
 };
 
-static struct bsq_vec3 load3(const float v[3])
-{
-    return bsq_v3(v[0], v[1], v[2]);
-}
-
 static bool not_zero(float x)
 {
     return fabsf(x) > FLT_MIN;
@@ -249,9 +244,9 @@ static void init_triangle(struct tangents *s, uint32_t triangle)
 {
     const uint64_t c = 3 * (uint64_t)triangle;
     const float(*uv)[2] = s->input.texcoords + c;
-    const struct bsq_vec3 p = load3(s->input.positions[c]);
-    const struct bsq_vec3 d1 = bsq_sub3(load3(s->input.positions[c + 1]), p);
-    const struct bsq_vec3 d2 = bsq_sub3(load3(s->input.positions[c + 2]), p);
+    const struct bsq_vec3 p = bsq_load3(s->input.positions[c]);
+    const struct bsq_vec3 d1 = bsq_sub3(bsq_load3(s->input.positions[c + 1]), p);
+    const struct bsq_vec3 d2 = bsq_sub3(bsq_load3(s->input.positions[c + 2]), p);
     const float u1 = uv[1][0] - uv[0][0], v1 = uv[1][1] - uv[0][1];
     const float u2 = uv[2][0] - uv[0][0], v2 = uv[2][1] - uv[0][1];
     const float area = u1 * v2 - v1 * u2;
@@ -300,10 +295,10 @@ static bool mikkt_join(struct tangents *s, uint32_t corner, uint8_t upright)
  * the plane of the vertex normal. */
 static struct bsq_vec3 weighted_tangent(const struct tangents *s, uint32_t corner)
 {
-    const struct bsq_vec3 normal = load3(s->input.normals[corner]);
-    const struct bsq_vec3 p = load3(s->input.positions[corner]);
-    const struct bsq_vec3 a = load3(s->input.positions[previous_corner(corner)]);
-    const struct bsq_vec3 b = load3(s->input.positions[next_corner(corner)]);
+    const struct bsq_vec3 normal = bsq_load3(s->input.normals[corner]);
+    const struct bsq_vec3 p = bsq_load3(s->input.positions[corner]);
+    const struct bsq_vec3 a = bsq_load3(s->input.positions[previous_corner(corner)]);
+    const struct bsq_vec3 b = bsq_load3(s->input.positions[next_corner(corner)]);
     const float cosine =
         bsq_dot3(project_unit(bsq_sub3(a, p), normal), project_unit(bsq_sub3(b, p), normal));
     const float angle = acosf(fminf(1.0f, fmaxf(-1.0f, cosine)));

@@ -23,7 +23,7 @@ static void table_set_range(struct bake_encoding *out, double range, float backg
 
 static bool resolve_direction(const float *sums, uint32_t channels, float weight, float *value)
 {
-    struct bsq_vec3 n = bsq_unit3(bsq_v3(sums[0], sums[1], sums[2]));
+    struct bsq_vec3 n = bsq_unit3(bsq_load3(sums));
     (void)channels;
     (void)weight;
     value[0] = n.x;

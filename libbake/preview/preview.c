@@ -151,13 +151,12 @@ static struct bsq_vec3 hit_color(const struct strip *strip, uint64_t ray, uint32
         hit = back;
     if (hit->triangle == BAKE_NO_HIT)
         return bake_preview_background(row, strip->view->side);
-    struct bsq_vec3 normal = bsq_v3(hit->normal[0], hit->normal[1], hit->normal[2]);
+    struct bsq_vec3 normal = bsq_load3(hit->normal);
     if (behind || strip->preview->options->two_sided)
         normal = bake_preview_turn_normal(strip->view, normal);
     /* Without a colour map the mesh is grey; so is the scan, to be compared with it. */
-    struct bsq_vec3 albedo = strip->preview->tiles[0].color->texels
-                                 ? bsq_v3(hit->color[0], hit->color[1], hit->color[2])
-                                 : bake_preview_grey();
+    struct bsq_vec3 albedo =
+        strip->preview->tiles[0].color->texels ? bsq_load3(hit->color) : bake_preview_grey();
     return bake_preview_shade(strip->view, normal, albedo);
 }
 
@@ -174,10 +173,7 @@ static int shade_row(void *arg, uint64_t index, unsigned worker)
             for (uint32_t i = 0; i < PREVIEW_GRID; ++i)
                 sum = bsq_add3(
                     sum, hit_color(strip, ray_at(strip, column * PREVIEW_GRID + i, top + j), row));
-        sum = bsq_scale3(sum, 1.0f / (PREVIEW_GRID * PREVIEW_GRID));
-        out[0] = sum.x;
-        out[1] = sum.y;
-        out[2] = sum.z;
+        put_pixel(sum, out);
     }
     return 0;
 }

@@ -93,7 +93,7 @@ static struct bsq_vec3 blend(float (*corners)[3], const float weights[3])
     float v[3];
     for (int k = 0; k < 3; ++k)
         v[k] = weights[0] * corners[0][k] + weights[1] * corners[1][k] + weights[2] * corners[2][k];
-    return bsq_v3(v[0], v[1], v[2]);
+    return bsq_load3(v);
 }
 
 /* Returns the tile whose range of triangles has this one; NULL: none. */
@@ -212,7 +212,7 @@ void bake_preview_mesh_sample(const struct bake_preview *preview, const struct p
     if (tile->color->texels) {
         float color[3];
         bake_thumbnail_sample(tile->color, at[0], at[1], color);
-        albedo = bsq_v3(color[0], color[1], color[2]);
+        albedo = bsq_load3(color);
     }
     if (tile->missed->texels)
         albedo = mark_missed(tile->missed, at, albedo);

@@ -179,7 +179,7 @@ static struct bsq_vec3 direction(const struct preview_view *view, double right, 
     float v[3];
     for (int k = 0; k < 3; ++k)
         v[k] = (float)(right * view->right[k] + up * view->up[k] + toward * view->toward[k]);
-    return bsq_unit3(bsq_v3(v[0], v[1], v[2]));
+    return bsq_unit3(bsq_load3(v));
 }
 
 /* Scales and centres the mesh in the panel. */

@@ -48,6 +48,13 @@ struct bake_surface {
     const bool *sees;
 };
 
+/* Returns whether ray `index` sees a scan. objects: of each ray; NULL: all rays see all scans. */
+static inline bool bake_surface_sees(const struct bake_surface *surface, const uint32_t *objects,
+                                     uint64_t index, uint32_t scan)
+{
+    return !objects || surface->sees[(uint64_t)surface->scan_count * objects[index] + scan];
+}
+
 /* Opens the scans of the options; the content of each file decides of which kind it is. The
  * surface's index space does not depend on the order of the scans. Several scans are traced on the
  * processor. *out must not be moved while it is open. Errors: those of fmt_nvdb_open(),

@@ -37,14 +37,6 @@ struct view {
 
 /* ---- viewpoints ---- */
 
-/* Returns whether the ray of a hit sees a scan. */
-static bool sees(const struct view *view, uint64_t index, uint32_t scan)
-{
-    const struct bake_surface *surface = view->look->surface;
-    const uint32_t *objects = view->hits->objects;
-    return !objects || surface->sees[(uint64_t)surface->scan_count * objects[index] + scan];
-}
-
 /* Returns the distance above a hit at which open rays start, so that a scan does not hide itself;
  * world units. Where rays were moved to the spaces of several scans, they were rounded again, so
  * triangles get four times the distance. */
@@ -91,7 +83,8 @@ static bool get_viewpoint(const void *arg, uint64_t index, bk_viewpoint *out)
     const struct bake_surface *surface = view->look->surface;
     const struct bake_scan *scan = &surface->scans[view->scan];
     const struct bake_hit *hit = &view->hits->hits[view->first + index];
-    if (hit->triangle == BAKE_NO_HIT || !sees(view, view->first + index, view->scan))
+    if (hit->triangle == BAKE_NO_HIT ||
+        !bake_surface_sees(surface, view->hits->objects, view->first + index, view->scan))
         return false;
     set_viewpoint(view, view->first + index, scan->translation, scan->unit, view->scan == hit->scan,
                   fmax(lift_of(surface, view->scan), lift_of(surface, hit->scan)), out);
@@ -206,7 +199,8 @@ static int sum_task(void *arg, uint64_t begin, uint64_t end, unsigned worker)
         if (view->hits->hits[index].triangle == BAKE_NO_HIT)
             continue;
         for (uint32_t s = 0; s < surface->scan_count; s++)
-            for (int k = 0; k < 3 && sees(view, index, s); k++) {
+            for (int k = 0; k < 3 && bake_surface_sees(surface, view->hits->objects, index, s);
+                 k++) {
                 low[k] = fmin(low[k], surface->scans[s].scan_min[k] - surface->translation[k]);
                 high[k] = fmax(high[k], surface->scans[s].scan_max[k] - surface->translation[k]);
             }

@@ -51,14 +51,6 @@ struct scans_trace {
     float *own_channels;
 };
 
-/* Returns whether the current scan is hidden from a ray. */
-static bool is_hidden(const struct scans_trace *trace, uint64_t ray)
-{
-    const struct bake_surface *surface = trace->surface;
-    const uint32_t *objects = trace->rays->objects;
-    return objects && !surface->sees[(uint64_t)surface->scan_count * objects[ray] + trace->scan];
-}
-
 /* Moves rays to the index space of the scan. Those that do not see it get no direction. */
 static int move_rays(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
@@ -67,12 +59,13 @@ static int move_rays(void *arg, uint64_t begin, uint64_t end, unsigned worker)
     const struct bake_surface *surface = trace->surface;
     const struct bake_scan *scan = &surface->scans[trace->scan];
     for (uint64_t i = begin; i < end; i++) {
+        const bool seen = bake_surface_sees(surface, trace->rays->objects, i, trace->scan);
         struct bake_ray *ray = &trace->own_rays[i];
         *ray = trace->rays->batch.rays[i];
         for (int k = 0; k < 3; k++) {
             const double shift = surface->translation[k] - scan->translation[k];
             ray->origin[k] = (float)(((double)ray->origin[k] * surface->unit + shift) / scan->unit);
-            ray->direction[k] = is_hidden(trace, i) ? 0.0f : ray->direction[k];
+            ray->direction[k] = seen ? ray->direction[k] : 0.0f;
         }
     }
     return 0;
