@@ -35,7 +35,6 @@ static double corner_angle(const float (*p)[3], int i)
 struct shared_corner {
     double sum[3], weights;
     bool normals_differ;
-    double rise; /* of the surface over the triangles there */
 };
 
 static void add_corner(struct shared_corner *shared, const float normal[3],
@@ -68,31 +67,21 @@ static double corner_weight(bool by_area, const float (*p)[3], int i)
         bsq_cross3(bsq_sub3(bsq_load3(p[1]), at), bsq_sub3(bsq_load3(p[2]), at)));
 }
 
-static int smooth(struct bsq_ctx *ctx, bool by_area, uint32_t count, const float (*positions)[3],
-                  const float (*normals)[3], const uint32_t *firsts, struct shared_corner *shared,
-                  float (*out)[3])
-{
-    int status = 0;
-    for (uint32_t c = 0; c < count && status == 0; c++) {
-        const uint32_t triangle = c / 3 * 3;
-        add_corner(&shared[firsts[c]], normals[c], normals[firsts[c]],
-                   corner_weight(by_area, positions + triangle, (int)(c - triangle)));
-        if (c % CORNERS_A_CHECK == 0)
-            status = bsq_check(ctx);
-    }
-    for (uint32_t c = 0; c < count; c++)
-        choose_direction(&shared[firsts[c]], normals[c], out[c]);
-    return status;
-}
-
 int bake_mean_normals(struct bsq_ctx *ctx, bool by_area, uint32_t corners,
                       const float (*positions)[3], const float (*normals)[3],
                       const uint32_t *firsts, float (*out)[3])
 {
     struct shared_corner *shared;
     int status = BSQ_CALLOC(ctx, "corners in one place", corners, &shared);
-    if (status == 0)
-        status = smooth(ctx, by_area, corners, positions, normals, firsts, shared, out);
+    for (uint32_t c = 0; c < corners && status == 0; c++) {
+        const uint32_t triangle = c / 3 * 3;
+        add_corner(&shared[firsts[c]], normals[c], normals[firsts[c]],
+                   corner_weight(by_area, positions + triangle, (int)(c - triangle)));
+        if (c % CORNERS_A_CHECK == 0)
+            status = bsq_check(ctx);
+    }
+    for (uint32_t c = 0; c < corners && status == 0; c++)
+        choose_direction(&shared[firsts[c]], normals[c], out[c]);
     bsq_free(ctx, shared);
     return status;
 }
@@ -115,10 +104,11 @@ static double rise_over(const float a[3], const float b[3], const float normal_a
     return bend / (4 * (1 + sqrt((1 + cosine) / 2)));
 }
 
-/* Sets where rays start. Neighbours share the highest rise, so that reaches are continuous. */
+/* Sets where rays start. Neighbours share the highest rise, so that reaches are continuous. rises:
+ * zeros, of the surface over the triangles in a place; stored with the first corner there. */
 static void set_reaches(uint64_t count, const float (*positions)[3][3],
-                        const float (*normals)[3][3], const uint32_t *firsts,
-                        struct shared_corner *shared, float (*out)[3])
+                        const float (*normals)[3][3], const uint32_t *firsts, double *rises,
+                        float (*out)[3])
 {
     for (uint64_t t = 0; t < count; t++) {
         double rise = 0;
@@ -126,10 +116,10 @@ static void set_reaches(uint64_t count, const float (*positions)[3][3],
             rise = fmax(rise,
                         rise_over(positions[t][j], positions[t][i], normals[t][j], normals[t][i]));
         for (int i = 0; i < 3; i++)
-            shared[firsts[3 * t + i]].rise = fmax(shared[firsts[3 * t + i]].rise, rise);
+            rises[firsts[3 * t + i]] = fmax(rises[firsts[3 * t + i]], rise);
     }
     for (uint64_t c = 0; c < 3 * count; c++)
-        out[c / 3][c % 3] = (float)(RISES * shared[firsts[c]].rise);
+        out[c / 3][c % 3] = (float)(RISES * rises[firsts[c]]);
 }
 
 /* ---- all kinds ---- */
@@ -151,21 +141,20 @@ int bake_ray_directions(struct bsq_ctx *ctx, enum bake_rays rays, uint64_t count
     const struct mikkt_input input = {.corner_count = corners,
                                       .positions = (const float(*)[3])positions};
     uint32_t *firsts = NULL;
-    struct shared_corner *shared = NULL;
+    double *rises = NULL;
     int status = 0;
     BSQ_TRY(BSQ_ALLOC(ctx, "corners in one place", corners, &firsts));
-    BSQ_TRY(BSQ_CALLOC(ctx, "corners in one place", corners, &shared));
+    BSQ_TRY(BSQ_CALLOC(ctx, "corners in one place", corners, &rises));
     BSQ_TRY(bake_mikkt_weld(ctx, &input, firsts));
     memcpy(out, normals, count * sizeof *out);
     if (rays == BAKE_RAYS_SMOOTH)
-        BSQ_TRY(smooth(ctx, false, corners, (const float(*)[3])positions,
-                       (const float(*)[3])normals, firsts, shared, (float(*)[3])out));
+        BSQ_TRY(bake_mean_normals(ctx, false, corners, positions[0], normals[0], firsts, out[0]));
     for (uint64_t t = 0; t < count && rays == BAKE_RAYS_FACE; t++)
         face_directions(positions[t], normals[t], out[t]);
-    set_reaches(count, positions, normals, firsts, shared, reaches);
+    set_reaches(count, positions, normals, firsts, rises, reaches);
     status = bsq_check(ctx);
 done:
-    BSQ_FREE(ctx, shared, firsts);
+    BSQ_FREE(ctx, rises, firsts);
     return status;
 }
 
