@@ -172,13 +172,12 @@ static int take_probes(void *arg, uint64_t begin, uint64_t end, unsigned worker)
     return 0;
 }
 
-static int curvature_trace_rays(const struct work *work, const struct bake_surface_rays *rays)
+static int curvature_trace_rays(const struct work *work, const struct bake_ray_batch *rays)
 {
     const struct bake_curvature *curvature = work->curvature;
     if (!curvature->device)
         return bake_surface_trace(curvature->surface, rays);
-    return bake_device_trace_rays(curvature->device, &rays->batch, curvature->surface->unit,
-                                  work->worker);
+    return bake_device_trace_rays(curvature->device, rays, curvature->surface->unit, work->worker);
 }
 
 /* Traces the probes of valid texels that have found nothing yet. range: how far their rays reach on
@@ -194,12 +193,12 @@ static int trace_missing(struct work *work, uint64_t texels, uint32_t each, doub
     for (uint64_t at = 0; at < listed; at += most) {
         const uint64_t count = listed - at < most ? listed - at : most;
         struct task task = {work, work->listed + at};
-        const struct bake_surface_rays rays = {.batch = {.rays = work->rays,
-                                                         .hits = work->hits,
-                                                         .count = count * each,
-                                                         .t_min = -range,
-                                                         .t_max = range},
-                                               .objects = work->ray_objects};
+        const struct bake_ray_batch rays = {.rays = work->rays,
+                                            .hits = work->hits,
+                                            .count = count * each,
+                                            .t_min = -range,
+                                            .t_max = range,
+                                            .objects = work->ray_objects};
         BSQ_PASS(run_step(work, count, PROBES_A_TASK, cast_probes, &task));
         BSQ_PASS(curvature_trace_rays(work, &rays));
         BSQ_PASS(run_step(work, count, PROBES_A_TASK, take_probes, &task));

@@ -117,19 +117,18 @@ int bake_fit_trace(const struct fit *fit, uint64_t count, double from, double to
     int status = 0;
     for (uint64_t at = 0; at < count && status == 0;) {
         const uint64_t most = bake_surface_capacity(fit->surface, 0), left = count - at;
-        const struct bake_surface_rays probes = {.batch = {.rays = fit->rays + at,
-                                                           .hits = fit->hits + at,
-                                                           .count = left < most ? left : most,
-                                                           .t_min = from,
-                                                           .t_max = to,
-                                                           .reaches = fit->reaches + at,
-                                                           .facing_origin = inverted,
-                                                           .distances_only = true,
-                                                           .sampled = true},
-                                                 .objects =
-                                                     fit->objects ? fit->objects + at : NULL};
+        const struct bake_ray_batch probes = {.rays = fit->rays + at,
+                                              .hits = fit->hits + at,
+                                              .count = left < most ? left : most,
+                                              .t_min = from,
+                                              .t_max = to,
+                                              .reaches = fit->reaches + at,
+                                              .facing_origin = inverted,
+                                              .distances_only = true,
+                                              .sampled = true,
+                                              .objects = fit->objects ? fit->objects + at : NULL};
         status = bake_surface_trace(fit->surface, &probes);
-        at += probes.batch.count;
+        at += probes.count;
     }
     return status == 0 ? bake_surface_check(fit->surface) : status;
 }

@@ -181,17 +181,17 @@ static int shade_row(void *arg, uint64_t index, unsigned worker)
 static int render_strip(struct strip *strip)
 {
     struct bsq_ctx *ctx = strip->preview->surface->ctx;
-    struct bake_surface_rays rays = {.batch = {.rays = strip->rays,
-                                               .hits = strip->hits,
-                                               .count = (uint64_t)strip->rows * strip->row_rays,
-                                               .t_min = 0,
-                                               .t_max = strip->view->scan_span,
-                                               .facing_origin = true},
-                                     .best = true}; /* the reference is as accurate as possible */
+    struct bake_ray_batch rays = {.rays = strip->rays,
+                                  .hits = strip->hits,
+                                  .count = (uint64_t)strip->rows * strip->row_rays,
+                                  .t_min = 0,
+                                  .t_max = strip->view->scan_span,
+                                  .facing_origin = true,
+                                  .best = true}; /* the reference is as accurate as possible */
     BSQ_PASS(bsq_parallel_for(ctx, strip->view->samples / COLUMN, cast_column, strip));
     BSQ_PASS(bake_surface_trace(strip->preview->surface, &rays));
-    rays.batch.hits = strip->backs;
-    rays.batch.facing_origin = false;
+    rays.hits = strip->backs;
+    rays.facing_origin = false;
     BSQ_PASS(bake_surface_trace(strip->preview->surface, &rays));
     return bsq_parallel_for(ctx, strip->rows, shade_row, strip);
 }

@@ -43,14 +43,16 @@ enum { BAKE_RAY_BUNDLE = 16 };
 
 struct bake_ray_batch {
     const struct bake_ray *rays;
-    struct bake_hit *hits; /* out */
-    uint64_t count;        /* of rays and hits; below 2^32 */
-    double t_min, t_max;   /* range of the hits' t */
-    const float *reaches;  /* of each ray, see bk_ray_cost(); NULL: 0 */
-    bool from_reach;       /* hits with a larger t than the reach do not count */
-    double gap;            /* hits nearer to t = 0 do not count */
-    bool distances_only;   /* do not evaluate normals and colours */
-    bool sampled;          /* rays meet samples of chunks, coarse surfaces, if there are any */
+    const uint32_t *objects; /* of each ray, by which it sees some scans only; NULL: it sees all */
+    struct bake_hit *hits;   /* out */
+    uint64_t count;          /* of rays and hits; below 2^32 */
+    double t_min, t_max;     /* range of the hits' t */
+    const float *reaches;    /* of each ray, see bk_ray_cost(); NULL: 0 */
+    bool from_reach;         /* hits with a larger t than the reach do not count */
+    double gap;              /* hits nearer to t = 0 do not count */
+    bool best;               /* blends on grids also if the options ask for the nearest voxel */
+    bool distances_only;     /* do not evaluate normals and colours */
+    bool sampled;            /* rays meet samples of chunks, coarse surfaces, if there are any */
     /* Surfaces must face the ray's origin, as for a camera. Otherwise they must face its end, as
      * for rays along the low-poly mesh's normals. */
     bool facing_origin;

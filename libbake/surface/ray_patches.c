@@ -55,20 +55,20 @@ static void measure_footprints(const struct tracing *tracing)
 
 /* Looks from each hit along its ray, both ways, for the next surface that the ray could have hit.
  * The rays start at the hits from here on. */
-static int look_beside(struct tracing *tracing, const struct bake_surface_rays *rays)
+static int look_beside(struct tracing *tracing, const struct bake_ray_batch *rays)
 {
     const struct bake_surface *surface = tracing->surface;
     const double most = surface->front + surface->back, unit = surface->unit;
     const uint64_t first = tracing->waiting * tracing->seat_rays;
-    const struct bake_surface_rays beside = {.batch = {.rays = rays->batch.rays,
-                                                       .hits = tracing->next_hits + first,
-                                                       .count = rays->batch.count,
-                                                       .t_min = -most,
-                                                       .t_max = most,
-                                                       .gap = NEXT_SHEET * surface->detail,
-                                                       .distances_only = true},
-                                             .objects = rays->objects};
-    for (uint64_t i = first; i < first + rays->batch.count; i++) {
+    const struct bake_ray_batch beside = {.rays = rays->rays,
+                                          .hits = tracing->next_hits + first,
+                                          .count = rays->count,
+                                          .t_min = -most,
+                                          .t_max = most,
+                                          .gap = NEXT_SHEET * surface->detail,
+                                          .distances_only = true,
+                                          .objects = rays->objects};
+    for (uint64_t i = first; i < first + rays->count; i++) {
         const bool found = tracing->hits[i].triangle != BAKE_NO_HIT;
         struct bake_ray *ray = &tracing->rays[i];
         for (int k = 0; k < 3; k++) {
@@ -80,15 +80,15 @@ static int look_beside(struct tracing *tracing, const struct bake_surface_rays *
 }
 
 /* Traces the rays from all hits. */
-static int patches_look_around(struct tracing *tracing, const struct bake_surface_rays *rays,
+static int patches_look_around(struct tracing *tracing, const struct bake_ray_batch *rays,
                                uint64_t progress)
 {
     const uint64_t first = tracing->waiting * tracing->seat_rays;
-    const struct bake_look_hits hits = {.rays = rays->batch.rays,
-                                        .hits = rays->batch.hits,
+    const struct bake_look_hits hits = {.rays = rays->rays,
+                                        .hits = rays->hits,
                                         .shares = tracing->shares + first,
                                         .objects = rays->objects,
-                                        .count = rays->batch.count,
+                                        .count = rays->count,
                                         .progress = progress};
     return bake_look_around(tracing->look, &hits, tracing->surroundings + first);
 }
@@ -280,26 +280,24 @@ static uint64_t patches_count_texels(const struct tracing *tracing, uint32_t end
 }
 
 /* Returns the rays in the seats from `first` on. */
-static struct bake_surface_rays rays_of(const struct tracing *tracing, uint32_t first)
+static struct bake_ray_batch rays_of(const struct tracing *tracing, uint32_t first)
 {
     const struct bake_surface *surface = tracing->surface;
     const uint64_t begin = first * tracing->seat_rays;
     const uint32_t waiting = tracing->waiting - first;
-    return (struct bake_surface_rays){
-        .batch = {.rays = tracing->rays + begin,
-                  .hits = tracing->hits + begin,
-                  .count = (tracing->taken - first) * tracing->seat_rays,
-                  .t_min = -surface->back,
-                  .t_max = surface->front,
-                  .reaches = tracing->reaches + begin,
-                  .from_reach = tracing->patches->params->flags & BK_CAGE,
-                  .footprints = tracing->footprints ? tracing->footprints + begin : NULL,
-                  .footprint_table = tracing->footprint_table,
-                  .channels = tracing->channels
-                                  ? tracing->channels + begin * transfer_floats(tracing)
-                                  : NULL,
-                  .sweep = tracing->sweep,
-                  .continued = waiting * tracing->seat_rays},
+    return (struct bake_ray_batch){
+        .rays = tracing->rays + begin,
+        .hits = tracing->hits + begin,
+        .count = (tracing->taken - first) * tracing->seat_rays,
+        .t_min = -surface->back,
+        .t_max = surface->front,
+        .reaches = tracing->reaches + begin,
+        .from_reach = tracing->patches->params->flags & BK_CAGE,
+        .footprints = tracing->footprints ? tracing->footprints + begin : NULL,
+        .footprint_table = tracing->footprint_table,
+        .channels = tracing->channels ? tracing->channels + begin * transfer_floats(tracing) : NULL,
+        .sweep = tracing->sweep,
+        .continued = waiting * tracing->seat_rays,
         .objects = tracing->objects ? tracing->objects + begin : NULL};
 }
 
@@ -313,10 +311,10 @@ static int run_batch(struct tracing *tracing)
     const uint64_t first_texels = texels / sample_cost(tracing->patches->params);
     uint32_t idle;
     BSQ_PASS(patches_gather(tracing, 0, tracing->waiting, end, &idle));
-    struct bake_surface_rays rays = rays_of(tracing, idle);
-    rays.batch.progress = first_texels;
-    rays.batch.first_chunk = tracing->seated[tracing->waiting].first;
-    rays.batch.end_chunk = end;
+    struct bake_ray_batch rays = rays_of(tracing, idle);
+    rays.progress = first_texels;
+    rays.first_chunk = tracing->seated[tracing->waiting].first;
+    rays.end_chunk = end;
     BSQ_PASS(bsq_parallel_for(tracing->ctx, tracing->taken - tracing->waiting,
                               BSQ_SIMD_PICK(tracing->simd, bake_cast_patch), tracing));
     BSQ_PASS(bake_surface_trace(surface, &rays));
@@ -324,8 +322,8 @@ static int run_batch(struct tracing *tracing)
     BSQ_PASS(keep_waiting(tracing, idle, end));
     rays = rays_of(tracing, tracing->waiting);
     if (tracing->patches->seen)
-        BSQ_PASS(bake_seen_mark_hits(surface, tracing->patches->seen, &rays.batch));
-    if (tracing->look && rays.batch.count > 0)
+        BSQ_PASS(bake_seen_mark_hits(surface, tracing->patches->seen, &rays));
+    if (tracing->look && rays.count > 0)
         BSQ_PASS(patches_look_around(tracing, &rays, texels - first_texels));
     if (tracing->next_hits)
         BSQ_PASS(look_beside(tracing, &rays));

@@ -101,16 +101,11 @@ int bake_surface_report_ids(const struct bake_surface *surface, struct bake_repo
 
 /* ---- rays ---- */
 
-struct bake_surface_rays {
-    /* In the surface's index space; a grid's hits have triangle 0. t_min and t_max are in world
-     * units, as the hits' t. */
-    struct bake_ray_batch batch;
-    bool best;               /* blends on grids also if the options ask for the nearest voxel */
-    const uint32_t *objects; /* of each ray; NULL: all rays see all scans */
-};
-/* Traces rays on all threads, of which there should be bake_surface_capacity() at most. Must not be
- * called from parallel work. Errors: those of bake_exact_trace(); BSQ_ENOMEM. */
-int bake_surface_trace(const struct bake_surface *surface, const struct bake_surface_rays *rays);
+/* Traces rays on all threads, of which there should be bake_surface_capacity() at most. Rays are in
+ * the surface's index space; t_min and t_max are in world units, as the hits' t. A grid's hits have
+ * triangle 0. Must not be called from parallel work. Errors: those of bake_exact_trace();
+ * BSQ_ENOMEM. */
+int bake_surface_trace(const struct bake_surface *surface, const struct bake_ray_batch *batch);
 
 /* Returns the number of rays, with their hits, that a caller should hold at a time, at least 1.
  * more_bytes: what else the caller allocates for each. */
@@ -127,7 +122,7 @@ struct bake_look_hits {
     const struct bake_ray *rays;   /* surface's index space */
     const struct bake_hit *hits;   /* of these rays; hits of nothing are allowed */
     const struct bk_share *shares; /* of their texels' directions */
-    const uint32_t *objects;       /* as in struct bake_surface_rays */
+    const uint32_t *objects;       /* as in struct bake_ray_batch */
     uint64_t count;
     uint64_t progress; /* what all of them add to the context's progress */
 };

@@ -13,7 +13,7 @@ enum { RAYS_A_TASK = 256, MOVED_RAYS_A_TASK = 4096, MAX_GRID_RAYS = 1 << 18 };
 
 struct grid_trace {
     const struct bake_scan *scan;
-    const struct bake_surface_rays *rays;
+    const struct bake_ray_batch *batch;
     struct bk_params params;
 };
 
@@ -21,7 +21,7 @@ static int trace_grid_rays(void *arg, uint64_t begin, uint64_t end, unsigned wor
 {
     (void)worker;
     const struct grid_trace *trace = arg;
-    const struct bake_ray_batch *batch = &trace->rays->batch;
+    const struct bake_ray_batch *batch = trace->batch;
     const double count = (double)batch->count;
     bake_trace_rays(&trace->scan->grid, &trace->params, trace->scan->unit, batch, begin, end);
     bsq_progress_add_share(trace->scan->ctx, batch->progress, (double)begin / count,
@@ -30,20 +30,20 @@ static int trace_grid_rays(void *arg, uint64_t begin, uint64_t end, unsigned wor
 }
 
 /* Traces rays in the index space of a scan. */
-static int trace_scan(const struct bake_scan *scan, const struct bake_surface_rays *rays)
+static int trace_scan(const struct bake_scan *scan, const struct bake_ray_batch *batch)
 {
     if (scan->exact)
-        return bake_exact_trace(scan->exact, &rays->batch);
-    struct grid_trace trace = {scan, rays, scan->params};
-    trace.params.flags &= ~(bk_uint)(rays->best ? BK_NEAREST : 0);
-    return bsq_parallel_ranges(scan->ctx, rays->batch.count, RAYS_A_TASK, trace_grid_rays, &trace);
+        return bake_exact_trace(scan->exact, batch);
+    struct grid_trace trace = {scan, batch, scan->params};
+    trace.params.flags &= ~(bk_uint)(batch->best ? BK_NEAREST : 0);
+    return bsq_parallel_ranges(scan->ctx, batch->count, RAYS_A_TASK, trace_grid_rays, &trace);
 }
 
 /* ---- several scans ---- */
 
 struct scans_trace {
     const struct bake_surface *surface;
-    const struct bake_surface_rays *rays;
+    const struct bake_ray_batch *batch;
     uint32_t scan; /* the current one */
     /* Of this scan, in its index space: */
     struct bake_ray *own_rays;
@@ -59,9 +59,9 @@ static int move_rays(void *arg, uint64_t begin, uint64_t end, unsigned worker)
     const struct bake_surface *surface = trace->surface;
     const struct bake_scan *scan = &surface->scans[trace->scan];
     for (uint64_t i = begin; i < end; i++) {
-        const bool seen = bake_surface_sees(surface, trace->rays->objects, i, trace->scan);
+        const bool seen = bake_surface_sees(surface, trace->batch->objects, i, trace->scan);
         struct bake_ray *ray = &trace->own_rays[i];
-        *ray = trace->rays->batch.rays[i];
+        *ray = trace->batch->rays[i];
         for (int k = 0; k < 3; k++) {
             const double shift = surface->translation[k] - scan->translation[k];
             ray->origin[k] = (float)(((double)ray->origin[k] * surface->unit + shift) / scan->unit);
@@ -99,7 +99,7 @@ static int keep_best(void *arg, uint64_t begin, uint64_t end, unsigned worker)
 {
     (void)worker;
     const struct scans_trace *trace = arg;
-    const struct bake_ray_batch *batch = &trace->rays->batch;
+    const struct bake_ray_batch *batch = trace->batch;
     const uint64_t floats =
         trace->own_channels ? BK_TRANSFER_VALUES * bk_transfers(trace->surface->params.maps) : 0;
     for (uint64_t i = begin; i < end; i++) {
@@ -122,28 +122,28 @@ static int trace_next(const struct scans_trace *trace)
 {
     const struct bake_surface *surface = trace->surface;
     const uint32_t n = surface->scan_count, s = trace->scan;
-    const uint64_t count = trace->rays->batch.count, progress = trace->rays->batch.progress;
+    const uint64_t count = trace->batch->count, progress = trace->batch->progress;
     void *arg = (void *)(uintptr_t)trace;
-    struct bake_surface_rays own = *trace->rays;
-    own.batch.rays = trace->own_rays;
-    own.batch.hits = trace->own_hits;
-    own.batch.channels = trace->own_channels;
-    own.batch.progress = progress * (s + 1) / n - progress * s / n;
+    struct bake_ray_batch own = *trace->batch;
+    own.rays = trace->own_rays;
+    own.hits = trace->own_hits;
+    own.channels = trace->own_channels;
+    own.progress = progress * (s + 1) / n - progress * s / n;
     BSQ_PASS(bsq_parallel_ranges(surface->ctx, count, MOVED_RAYS_A_TASK, move_rays, arg));
     BSQ_PASS(trace_scan(&surface->scans[s], &own));
     return bsq_parallel_ranges(surface->ctx, count, MOVED_RAYS_A_TASK, keep_best, arg);
 }
 
-static int trace_scans(const struct bake_surface *surface, const struct bake_surface_rays *rays)
+static int trace_scans(const struct bake_surface *surface, const struct bake_ray_batch *batch)
 {
     const uint64_t floats = BK_TRANSFER_VALUES * bk_transfers(surface->params.maps);
-    const uint64_t count = rays->batch.count;
-    struct scans_trace trace = {.surface = surface, .rays = rays};
+    const uint64_t count = batch->count;
+    struct scans_trace trace = {.surface = surface, .batch = batch};
     struct bsq_ctx *ctx = surface->ctx;
     int status = 0;
     BSQ_TRY(BSQ_ALLOC(ctx, "rays", count, &trace.own_rays));
     BSQ_TRY(BSQ_ALLOC(ctx, "hits", count, &trace.own_hits));
-    if (rays->batch.channels)
+    if (batch->channels)
         BSQ_TRY(bsq_alloc(ctx, "hits", count, floats * sizeof(float), &trace.own_channels));
     for (; trace.scan < surface->scan_count; trace.scan++)
         BSQ_TRY(trace_next(&trace));
@@ -152,9 +152,10 @@ done:
     return status;
 }
 
-int bake_surface_trace(const struct bake_surface *surface, const struct bake_surface_rays *rays)
+int bake_surface_trace(const struct bake_surface *surface, const struct bake_ray_batch *batch)
 {
-    return surface->scan_count == 1 ? trace_scan(surface->scans, rays) : trace_scans(surface, rays);
+    return surface->scan_count == 1 ? trace_scan(surface->scans, batch)
+                                    : trace_scans(surface, batch);
 }
 
 static uint64_t scan_capacity(const struct bake_scan *scan, uint64_t more_bytes)
