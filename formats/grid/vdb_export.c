@@ -2,9 +2,7 @@
  *
  * OpenVDB writes an archive from whole grids in memory. The memory follows from the node counts and
  * is reserved before anything is built. */
-#include <math.h>
 #include <stdio.h>
-#include <sys/wait.h>
 #include <xxhash.h>
 
 #include "formats/grid/nvdb_layout_internal.h"
@@ -48,25 +46,20 @@ int fmt_vdb_check(struct bsq_ctx *ctx)
 static int vdb_write_content(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid,
                              const char *path, struct bsq_output *output, uint64_t bytes)
 {
-    char program[PATH_MAX], stamp[48], threads[12], text[201] = "";
-    char *arguments[] = {program, stamp, threads, NULL};
+    char threads[12];
+    const struct fmt_converter how = {.program = "bisque-vdb",
+                                      .purpose = purpose,
+                                      .library = "OpenVDB",
+                                      .path = path,
+                                      .option = threads,
+                                      .memory = bytes,
+                                      .exports = true};
     struct bsq_file file = BSQ_FILE_CLOSED;
-    struct fmt_program_end end;
-    uint64_t got = 0;
     int status;
-    snprintf(stamp, sizeof stamp, "%s", fmt_program_stamp);
     snprintf(threads, sizeof threads, "%u", bsq_threads(ctx));
-    BSQ_TRY(fmt_program_find(ctx, "bisque-vdb", purpose, program));
     BSQ_TRY(fmt_program_check(ctx, purpose));
     BSQ_TRY(bsq_output_read(output, &file));
-    BSQ_TRY(fmt_program_run(ctx, arguments, grid->map.fd, file.fd, INFINITY, &end));
-    if (end.error == 0 && end.state == 0)
-        goto done;
-    BSQ_TRY(bsq_file_read_some(ctx, &file, text, sizeof text - 1, 0, &got));
-    if (end.error == 0 && WIFEXITED(end.state) && WEXITSTATUS(end.state) == -BSQ_EIO)
-        status = bsq_fail(ctx, BSQ_EIO, "%s: OpenVDB cannot write it: %s", path, text);
-    else
-        status = fmt_program_fail(ctx, path, "OpenVDB", &end, text, 0, bytes);
+    status = fmt_program_convert(ctx, &how, grid->map.fd, &file);
 done:
     bsq_file_close(ctx, &file);
     return status;

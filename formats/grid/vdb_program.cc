@@ -167,19 +167,14 @@ void convert(bsq_ctx *ctx)
 
 } // namespace
 
-/* Arguments: the program's build, threads. Ends without destructors. */
+/* The option is the number of threads. Ends without destructors. */
 int main(int argument_count, char **arguments)
 {
-    if (argument_count != 3) {
-        fputs("bisque-vdb: is run by bisque-voxelize for OpenVDB files\n", stderr);
-        return -BSQ_EUSAGE;
-    }
-    fmt_program_isolate();
-    if (std::strcmp(arguments[1], fmt_program_stamp) != 0)
-        fmt_program_refuse(BSQ_ENOINPUT, "bisque-vdb is not of this program's build");
+    fmt_program_input input;
+    const char *threads = fmt_program_begin(argument_count, arguments, UINT64_MAX, 0, &input);
     bsq_ctx_options options = {};
     bsq_ctx *ctx;
-    options.threads = unsigned(atoi(arguments[2]));
+    options.threads = unsigned(atoi(threads));
     try {
         if (bsq_ctx_create(&options, &ctx))
             throw std::bad_alloc();

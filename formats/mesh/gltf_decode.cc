@@ -148,15 +148,8 @@ void run(const gltf_packed &task, const uint8_t *from)
 // Does all tasks of an input.
 void run_all(const uint8_t *input, size_t size)
 {
-    gltf_stamp stamp = {};
     gltf_packed task = {};
-    if (size < sizeof stamp)
-        _exit(-BSQ_EUSAGE);
-    std::memcpy(&stamp, input, sizeof stamp);
-    if (std::strncmp(stamp.text, fmt_program_stamp, sizeof stamp.text) != 0) {
-        fmt_program_refuse(BSQ_ENOINPUT, "bisque-gltf is not of this program's build");
-    }
-    for (size_t at = sizeof stamp; at + sizeof task <= size;) {
+    for (size_t at = 0; at + sizeof task <= size;) {
         std::memcpy(&task, input + at, sizeof task);
         at += sizeof task;
         if (task.size > size - at)
@@ -168,11 +161,11 @@ void run_all(const uint8_t *input, size_t size)
 
 } // namespace
 
-// Arguments: bytes of memory, seconds of a processor. Ends without destructors.
+// Ends without destructors.
 int main(int argument_count, char **arguments)
 {
     fmt_program_input input;
-    fmt_program_begin(argument_count, arguments, 0, 0, 0, &input);
+    fmt_program_begin(argument_count, arguments, 0, 0, &input);
     std::set_new_handler([] { _exit(-BSQ_ENOMEM); });
     run_all(input.bytes, input.size);
     _exit(0);

@@ -222,26 +222,22 @@ int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source)
     struct bsq_file input = BSQ_FILE_CLOSED;
     struct bsq_file *decoded = &source->decoded.file;
     const uint64_t bytes = source->decoded.extent.size;
-    struct gltf_stamp stamp = {{0}};
     const struct fmt_converter how = {.program = "bisque-gltf",
                                       .purpose = "compressed glTF files",
                                       .library = "Draco or meshoptimizer",
                                       .path = source->own.path,
                                       .seconds = LEAST_SECONDS + bytes / BYTES_A_SECOND};
-    char program[PATH_MAX];
     if (source->packed_count == 0 || decoded->fd >= 0)
         return 0;
     int status;
     BSQ_TRY(bsq_require_disk(ctx, NULL, bytes));
     BSQ_TRY(bsq_file_temp(ctx, NULL, "a compressed glTF file", &input));
     BSQ_TRY(bsq_file_temp(ctx, NULL, "a decompressed glTF file", decoded));
-    strncpy(stamp.text, fmt_program_stamp, sizeof stamp.text - 1);
-    BSQ_TRY(bsq_file_append(ctx, &input, &stamp, sizeof stamp));
     for (uint32_t i = 0; i < source->packed_count; i++)
         BSQ_TRY(add_task(ctx, source, &source->packed[i], &input));
-    BSQ_TRY(fmt_program_convert(ctx, &how, input.fd, decoded, program));
+    BSQ_TRY(fmt_program_convert(ctx, &how, input.fd, decoded));
     if (decoded->size != bytes)
-        status = bsq_fail(ctx, BSQ_ENOINPUT, "%s: %s does not work", source->own.path, program);
+        status = fmt_program_misfit(ctx, &how);
 done:
     bsq_file_close(ctx, &input);
     if (status)

@@ -27,8 +27,8 @@ struct gltf_draco_output {
     uint64_t bytes;      /* elements follow each other */
 };
 
-/* Compressed data: a view, or the accessors of a primitive. The program's input is struct
- * gltf_stamp, then for each of them this head and the compressed bytes. Its output is what they
+/* Compressed data: a view, or the accessors of a primitive. The program's input is
+ * for each of them this head and the compressed bytes. Its output is what they
  * become, one after the other; or, if its exit status is BSQ_EDATA, a text that says what is wrong.
  */
 struct gltf_packed {
@@ -47,10 +47,6 @@ struct gltf_packed {
     uint64_t points, faces;
     struct gltf_draco_output outputs[5];
     uint32_t output_count;
-};
-
-struct gltf_stamp {
-    char text[48]; /* fmt_program_stamp of the reader */
 };
 
 #ifdef __cplusplus

@@ -35,24 +35,23 @@ struct fmt_program_end {
  * it, it is left behind. Returns 0, also if the program failed, or BSQ_EINTR. */
 int fmt_program_run(struct bsq_ctx *ctx, char *const arguments[], int from, int to, double seconds,
                     struct fmt_program_end *out);
-/* Reports that a program that reads a file with a library of others did not do so. text: its
- * output; that of an exit status BSQ_EDATA or BSQ_ENOINPUT is what is wrong. seconds: its limit.
- * `left`: the memory that was left for it. Returns the status. */
-int fmt_program_fail(struct bsq_ctx *ctx, const char *path, const char *library,
-                     const struct fmt_program_end *end, char *text, uint64_t seconds,
-                     uint64_t left);
-/* Lets such a program turn a file into another one. Its arguments are `option` (NULL: none), the
- * bytes of `memory` (0: what is left) and `seconds`, its input is the descriptor `from`. Sets
- * to->size, and the path of the program. Errors: those of fmt_program_find(), fmt_program_run() and
- * fmt_program_fail(). */
+/* Lets a program that uses a library of others turn a file into another one. Its arguments are
+ * fmt_program_stamp, which must be its own, `option` (NULL: ""), the bytes of `memory` (0: what is
+ * left) and `seconds`, its input is the descriptor `from`. If its exit status is BSQ_EDATA or
+ * BSQ_ENOINPUT, its output is what is wrong. Sets to->size. Errors: those of fmt_program_find() and
+ * fmt_program_run(); what the program says; BSQ_EDATA if it crashed or was too slow; BSQ_ENOMEM,
+ * BSQ_EIO. */
 struct fmt_converter {
     const char *program, *purpose; /* as fmt_program_find() takes them */
-    const char *library, *path;    /* as fmt_program_fail() takes them */
+    const char *library, *path;    /* for messages */
     char *option;
     uint64_t memory, seconds;
+    bool exports; /* the library writes `path`, and does not read it */
 };
 int fmt_program_convert(struct bsq_ctx *ctx, const struct fmt_converter *how, int from,
-                        struct bsq_file *to, char program[PATH_MAX]);
+                        struct bsq_file *to);
+/* Reports that such a program is of another build, or does not work. Returns BSQ_ENOINPUT. */
+int fmt_program_misfit(struct bsq_ctx *ctx, const struct fmt_converter *how);
 /* The first step of any such program: ends with the thread that started it, dumps no core, and dies
  * of crashes, also with sanitizers, which would exit instead. */
 void fmt_program_isolate(void);
@@ -62,12 +61,11 @@ struct fmt_program_input {
     const uint8_t *bytes;
     uint64_t size;
 };
-/* Begins such a program, which has `options` arguments (0 or 1) before its memory and seconds:
- * isolates it, maps its input, and limits its memory to `own` bytes more than the argument says,
- * its time, and the descriptors of files. Ends the program if its arguments or its input are
- * others. */
-void fmt_program_begin(int argument_count, char **arguments, int options, uint64_t own,
-                       uint64_t files, struct fmt_program_input *input);
+/* Begins such a program: isolates it, maps its input, and limits its memory to `own` bytes more
+ * than its argument says (UINT64_MAX: no limits), its time, and the descriptors of files. Returns
+ * its option. Ends the program if its arguments, its stamp or its input are others. */
+const char *fmt_program_begin(int argument_count, char **arguments, uint64_t own, uint64_t files,
+                              struct fmt_program_input *input);
 /* Ends such a program. Its output becomes a text, what is wrong. */
 __attribute__((noreturn)) void fmt_program_refuse(int status, const char *text);
 

@@ -21,9 +21,19 @@
 /* Of a process that was killed; one that a driver blocks in the kernel may never end. */
 enum { END_SECONDS = 1 };
 
-int fmt_program_fail(struct bsq_ctx *ctx, const char *path, const char *library,
-                     const struct fmt_program_end *end, char *text, uint64_t seconds, uint64_t left)
+int fmt_program_misfit(struct bsq_ctx *ctx, const struct fmt_converter *how)
 {
+    char program[PATH_MAX];
+    BSQ_PASS(fmt_program_find(ctx, how->program, how->purpose, program));
+    return bsq_fail(ctx, BSQ_ENOINPUT, "%s: %s is not of this program's build, or does not work",
+                    how->path, program);
+}
+
+/* Reports that a program did not do its work. text: its output. left: the memory that it had. */
+static int program_fail(struct bsq_ctx *ctx, const struct fmt_converter *how,
+                        const struct fmt_program_end *end, char *text, uint64_t left)
+{
+    const char *path = how->path, *library = how->library;
     const int code = end->state >= 0 && WIFEXITED(end->state) ? WEXITSTATUS(end->state) : -1;
     const int signal = end->state >= 0 && WIFSIGNALED(end->state) ? WTERMSIG(end->state) : 0;
     enum { NOT_LINKED = 127 }; /* of the dynamic linker */
@@ -32,6 +42,8 @@ int fmt_program_fail(struct bsq_ctx *ctx, const char *path, const char *library,
     if (end->error || code == NOT_LINKED)
         return bsq_fail_errno(ctx, BSQ_ENOINPUT, end->error ? end->error : ELIBACC,
                               "%s: the program of %s does not start", path, library);
+    if (code == -BSQ_EUSAGE)
+        return fmt_program_misfit(ctx, how);
     if (code == -BSQ_EDATA || code == -BSQ_ENOINPUT)
         return bsq_fail(ctx, -code, "%s: %s", path, text);
     if (code == -BSQ_ENOMEM)
@@ -40,13 +52,15 @@ int fmt_program_fail(struct bsq_ctx *ctx, const char *path, const char *library,
                         " bytes of --memory: raise it, "
                         "unless the file is damaged",
                         path, library, left);
+    if (code == -BSQ_EIO && how->exports)
+        return bsq_fail(ctx, BSQ_EIO, "%s: %s cannot write it: %s", path, library, text);
     if (code == -BSQ_EIO)
         return bsq_fail(ctx, BSQ_EIO, "%s: its content cannot be written to a temporary file",
                         path);
     if (signal == SIGXCPU)
         return bsq_fail(ctx, BSQ_EDATA,
                         "%s: cannot be read: %s has not read it in %" PRIu64 " seconds", path,
-                        library, seconds);
+                        library, how->seconds);
     return bsq_fail(ctx, BSQ_EDATA, "%s: cannot be read: %s crashed (%s): the file is damaged",
                     path, library, signal ? strsignal(signal) : "it ended the program");
 }
@@ -85,12 +99,12 @@ static void program_limit(uint64_t memory, uint64_t seconds, uint64_t files)
     setrlimit(RLIMIT_NOFILE, &open);
 }
 
-void fmt_program_begin(int argument_count, char **arguments, int options, uint64_t own,
-                       uint64_t files, struct fmt_program_input *input)
+const char *fmt_program_begin(int argument_count, char **arguments, uint64_t own, uint64_t files,
+                              struct fmt_program_input *input)
 {
     struct stat info;
-    if (argument_count != options + 3 || fstat(STDIN_FILENO, &info) != 0 ||
-        !S_ISREG(info.st_mode)) {
+    if (argument_count != 5 || strcmp(arguments[1], fmt_program_stamp) != 0 ||
+        fstat(STDIN_FILENO, &info) != 0 || !S_ISREG(info.st_mode)) {
         fprintf(stderr, "%s: is run by Bisque for files of some formats\n", arguments[0]);
         _exit(-BSQ_EUSAGE);
     }
@@ -101,8 +115,10 @@ void fmt_program_begin(int argument_count, char **arguments, int options, uint64
                        : mmap(NULL, input->size, PROT_READ, MAP_PRIVATE, STDIN_FILENO, 0);
     if (input->bytes == MAP_FAILED)
         _exit(-BSQ_ENOMEM);
-    program_limit(strtoull(arguments[options + 1], NULL, 10) + own,
-                  strtoull(arguments[options + 2], NULL, 10), files);
+    if (own < UINT64_MAX)
+        program_limit(strtoull(arguments[3], NULL, 10) + own, strtoull(arguments[4], NULL, 10),
+                      files);
+    return arguments[2];
 }
 
 void fmt_program_refuse(int status, const char *text)
@@ -166,20 +182,21 @@ int fmt_program_run(struct bsq_ctx *ctx, char *const arguments[], int from, int 
 }
 
 int fmt_program_convert(struct bsq_ctx *ctx, const struct fmt_converter *how, int from,
-                        struct bsq_file *to, char program[PATH_MAX])
+                        struct bsq_file *to)
 {
     const uint64_t left = how->memory > 0 ? how->memory : bsq_memory_left(ctx);
     struct fmt_program_end end;
     struct stat info;
-    char memory[24], seconds[24], text[201] = "", *arguments[5] = {program};
+    char program[PATH_MAX], memory[24], seconds[24], text[201] = "", none[] = "";
+    char *arguments[] = {program,
+                         (char *)(uintptr_t)fmt_program_stamp,
+                         how->option ? how->option : none,
+                         memory,
+                         seconds,
+                         NULL};
     uint64_t got = 0;
-    int count = 1;
     snprintf(memory, sizeof memory, "%" PRIu64, left);
     snprintf(seconds, sizeof seconds, "%" PRIu64, how->seconds);
-    if (how->option)
-        arguments[count++] = how->option;
-    arguments[count++] = memory;
-    arguments[count] = seconds;
     BSQ_PASS(fmt_program_find(ctx, how->program, how->purpose, program));
     BSQ_PASS(fmt_program_run(ctx, arguments, from, to->fd, INFINITY, &end));
     if (fstat(to->fd, &info) == 0)
@@ -187,5 +204,5 @@ int fmt_program_convert(struct bsq_ctx *ctx, const struct fmt_converter *how, in
     if (end.error == 0 && end.state == 0)
         return 0;
     BSQ_PASS(bsq_file_read_some(ctx, to, text, sizeof text - 1, 0, &got));
-    return fmt_program_fail(ctx, how->path, how->library, &end, text, how->seconds, left);
+    return program_fail(ctx, how, &end, text, left);
 }

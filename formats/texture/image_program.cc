@@ -40,13 +40,12 @@ void add_time(uint64_t texels)
 
 void convert(ImageReader &reader, const char *plugin)
 {
-    struct fmt_rows_head head = {};
-    std::strncpy(head.stamp, fmt_program_stamp, sizeof head.stamp - 1);
-    reader.open(plugin, head.info);
-    add_time(uint64_t(head.info.width) * head.info.height);
-    put(&head, sizeof head);
-    std::vector<char> row(size_t(head.info.width) * head.info.channels * head.info.sample_bytes);
-    for (uint32_t y = 0; y < head.info.height; y++) {
+    struct fmt_rows_info info = {};
+    reader.open(plugin, info);
+    add_time(uint64_t(info.width) * info.height);
+    put(&info, sizeof info);
+    std::vector<char> row(size_t(info.width) * info.channels * info.sample_bytes);
+    for (uint32_t y = 0; y < info.height; y++) {
         reader.read_row(row.data());
         put(row.data(), row.size());
     }
@@ -73,10 +72,10 @@ int fmt_image_program(int argument_count, char **arguments, ImageReader &reader)
     enum { FILES = 8 };                      // libraries open the standard input again
     const uint64_t own = uint64_t(64) << 20; // of memory that decoders take for themselves
     fmt_program_input input;
-    fmt_program_begin(argument_count, arguments, 1, own, FILES, &input);
+    const char *plugin = fmt_program_begin(argument_count, arguments, own, FILES, &input);
     std::set_new_handler([] { _exit(-BSQ_ENOMEM); });
     try {
-        convert(reader, arguments[1]);
+        convert(reader, plugin);
     } catch (const Failure &failure) {
         fmt_program_refuse(failure.code, failure.text.c_str());
     } catch (const std::exception &exception) {

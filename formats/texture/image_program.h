@@ -2,7 +2,7 @@
 //
 // program_rows.c runs them: damaged files make the libraries crash, loop, or take any amount of
 // memory. So they have limits of memory and time. The file is their standard input; their standard
-// output becomes struct fmt_rows_head and the rows.
+// output becomes struct fmt_rows_info and the rows.
 #ifndef FMT_TEXTURE_IMAGE_PROGRAM_H
 #define FMT_TEXTURE_IMAGE_PROGRAM_H
 
@@ -25,8 +25,7 @@ inline const char fmt_image_file[] = "/proc/self/fd/0";
 // Throws what is wrong. error: an errno; some are not faults of the image.
 [[noreturn]] void fmt_image_fail(int error, const std::string &what, std::string reason);
 
-// The main function of a program. Arguments: OpenImageIO's name of the format, bytes of memory,
-// seconds of a processor.
+// The main function of a program, whose option is OpenImageIO's name of the format.
 int fmt_image_program(int argument_count, char **arguments, ImageReader &reader);
 
 #endif

@@ -55,12 +55,6 @@ extern const struct fmt_rows_decoder fmt_png_rows, fmt_jpeg_rows, fmt_exr_textur
  * state owns both. Returns false if there are fewer texts. */
 bool fmt_png_text(const void *state, uint32_t i, const char **name, const char **value);
 
-/* What a program writes before the samples of the rows. */
-struct fmt_rows_head {
-    char stamp[48]; /* fmt_program_stamp of the program */
-    struct fmt_rows_info info;
-};
-
 /* An image that is being read. */
 struct fmt_rows {
     struct fmt_rows_input input;

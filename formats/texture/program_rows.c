@@ -3,8 +3,6 @@
  *
  * Damaged images make OpenImageIO, libtiff and the libraries below them crash, loop, or take any
  * amount of memory. That is then a line on this image. */
-#include <string.h>
-
 #include "formats/texture/image_rows.h"
 
 /* Processor time in seconds that the program may take: LEAST_SECONDS for any file, and a second
@@ -13,14 +11,14 @@ enum { LEAST_SECONDS = 30, BYTES_A_SECOND = 1 << 18 };
 
 struct program_rows {
     struct bsq_ctx *ctx;
-    struct bsq_file file; /* temporary: struct fmt_rows_head, and the rows */
+    struct bsq_file file; /* temporary: struct fmt_rows_info, and the rows */
     uint64_t at, row_bytes;
 };
 
 /* Lets the program decode the image. It gets half of the memory that is left, as texels need some
  * too, or its share of that. */
 static int program_rows_run(const struct fmt_rows_input *input, struct bsq_file *out,
-                            char program[PATH_MAX])
+                            struct fmt_rows_info *info)
 {
     struct bsq_ctx *ctx = input->ctx;
     const uint64_t bytes = bsq_memory_left(ctx) / 2 / input->sharers;
@@ -35,30 +33,25 @@ static int program_rows_run(const struct fmt_rows_input *input, struct bsq_file 
         BSQ_PASS(fmt_program_check(ctx, how.purpose));
     BSQ_PASS(bsq_file_temp(ctx, NULL, "a decoded image", out));
     BSQ_PASS(bsq_reserve(ctx, "decoding a texture", bytes));
-    const int status = fmt_program_convert(ctx, &how, input->file.fd, out, program);
+    const int status = fmt_program_convert(ctx, &how, input->file.fd, out);
     bsq_release(ctx, bytes);
-    return status;
+    BSQ_PASS(status);
+    if (out->size >= sizeof *info)
+        BSQ_PASS(bsq_file_read(ctx, out, info, sizeof *info, 0));
+    const uint64_t texels = (uint64_t)info->width * info->height;
+    return out->size == sizeof *info + texels * info->channels * info->sample_bytes
+               ? 0
+               : fmt_program_misfit(ctx, &how);
 }
 
 static int open_program(struct fmt_rows_input *input, struct fmt_rows_info *info, void **state)
 {
     struct program_rows *rows;
-    struct fmt_rows_head head = {.stamp = ""};
-    char program[PATH_MAX];
     BSQ_PASS(BSQ_CALLOC(input->ctx, "a texture's decoder", 1, &rows));
     *state = rows;
-    *rows = (struct program_rows){
-        .ctx = input->ctx, .file = BSQ_FILE_CLOSED, .at = sizeof(struct fmt_rows_head)};
-    BSQ_PASS(program_rows_run(input, &rows->file, program));
-    if (rows->file.size >= sizeof head)
-        BSQ_PASS(bsq_file_read(input->ctx, &rows->file, &head, sizeof head, 0));
-    rows->row_bytes = (uint64_t)head.info.width * head.info.channels * head.info.sample_bytes;
-    if (strncmp(head.stamp, fmt_program_stamp, sizeof head.stamp) != 0 ||
-        rows->file.size != sizeof head + head.info.height * rows->row_bytes)
-        return bsq_fail(input->ctx, BSQ_ENOINPUT,
-                        "%s: %s is not of this program's build, or does not work", input->path,
-                        program);
-    *info = head.info;
+    *rows = (struct program_rows){.ctx = input->ctx, .file = BSQ_FILE_CLOSED, .at = sizeof *info};
+    BSQ_PASS(program_rows_run(input, &rows->file, info));
+    rows->row_bytes = (uint64_t)info->width * info->channels * info->sample_bytes;
     return 0;
 }
 

@@ -117,7 +117,7 @@ refused_like 66 "^box.vdb: the program of OpenVDB does not start: "
 sed "s/$stamp/$other/g" moved/lib/bisque/bisque-vdb >"$prefix/lib/bisque/bisque-vdb"
 chmod +x "$prefix/lib/bisque/bisque-vdb"
 run $voxelize '' box.vdb
-refused 66 "box.vdb: bisque-vdb is not of this program's build"
+refused 66 "box.vdb: $prefix/lib/bisque/bisque-vdb is not of this program's build, or does not work"
 
 # ---- a moved installation, and programs that open no more than they need ----
 BIN=$PWD/moved/bin

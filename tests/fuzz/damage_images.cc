@@ -60,16 +60,16 @@ void damage(Bytes &bytes, std::mt19937_64 &random)
 // Returns what is wrong with the output of a process that ended with a code, or nothing.
 std::string complaint(int code, const Bytes &out)
 {
-    struct fmt_rows_head head;
+    struct fmt_rows_info info;
     if (code == -BSQ_EDATA || code == -BSQ_ENOINPUT)
         return out.empty() ? "no words" : "";
     if (code == -BSQ_ENOMEM)
         return "";
-    if (code != 0 || out.size() < sizeof head)
+    if (code != 0 || out.size() < sizeof info)
         return "exit code " + std::to_string(code);
-    std::memcpy(&head, out.data(), sizeof head);
-    const uint64_t row = uint64_t(head.info.width) * head.info.channels * head.info.sample_bytes;
-    return out.size() == sizeof head + head.info.height * row ? "" : "rows are missing";
+    std::memcpy(&info, out.data(), sizeof info);
+    const uint64_t row = uint64_t(info.width) * info.channels * info.sample_bytes;
+    return out.size() == sizeof info + info.height * row ? "" : "rows are missing";
 }
 
 // Runs the program's code on a file. Returns how it ended; *wrong says what must not be.
@@ -83,13 +83,18 @@ std::string run_one(const Bytes &bytes, const std::string &plugin, std::string *
     const pid_t process = fork();
     if (process == 0) {
         const struct rlimit most = {MOST, MOST};
-        char *arguments[] = {own, const_cast<char *>(plugin.c_str()), memory, seconds, nullptr};
+        char *arguments[] = {own,
+                             const_cast<char *>(fmt_program_stamp),
+                             const_cast<char *>(plugin.c_str()),
+                             memory,
+                             seconds,
+                             nullptr};
         dup2(file, STDIN_FILENO);
         dup2(kept, STDOUT_FILENO);
         dup2(open("/dev/null", O_RDWR), STDERR_FILENO);
         signal(SIGXFSZ, SIG_IGN); // an image that is large, not wrong
         setrlimit(RLIMIT_FSIZE, &most);
-        _exit((plugin == "tiff" ? tiff_main : texture_main)(4, arguments));
+        _exit((plugin == "tiff" ? tiff_main : texture_main)(5, arguments));
     }
     int state;
     waitpid(process, &state, 0);
