@@ -32,7 +32,6 @@ struct reader {
     uint64_t line;
     struct fmt_materials *materials;
     bool has_current;                /* the last material of the list is from this file */
-    bool again;                      /* the file was read before: do not warn */
     uint64_t unknown, first_unknown; /* statements that are not of the format; line of the first */
 };
 
@@ -70,8 +69,6 @@ static void trim_end(char *text)
 
 static int warn(struct reader *reader, const char *what, const char *text)
 {
-    if (reader->again)
-        return 0;
     return bsq_warn_loss(reader->ctx, "%s:%" PRIu64 ": %s: \"%.60s\"", reader->path, reader->line,
                          what, text);
 }
@@ -333,8 +330,6 @@ static void join_lines(char *line, char *end)
 
 static int warn_zero(struct reader *reader)
 {
-    if (reader->again)
-        return 0;
     return bsq_warn_loss(reader->ctx,
                          "%s:%" PRIu64 ": not a text file (zero byte): not read from here on",
                          reader->path, reader->line);
@@ -365,7 +360,7 @@ static int read_text(struct reader *reader, char *text, uint64_t size)
 
 static int warn_unknown(const struct reader *reader)
 {
-    return reader->unknown == 0 || reader->again
+    return reader->unknown == 0
                ? 0
                : bsq_warn_loss(reader->ctx,
                                "%s:%" PRIu64 ": lines with statements that are not of the format: "
@@ -385,7 +380,7 @@ static int check_readable(const struct reader *reader, bool *readable)
     *readable = problem == NULL;
     if (!problem && info.st_size == 0)
         problem = "an empty file";
-    if (!problem || reader->again)
+    if (!problem)
         return 0;
     return bsq_warn_loss(reader->ctx, "%s: %s: %s: its materials are missing", reader->place,
                          reader->path, problem);
@@ -395,21 +390,18 @@ static int check_readable(const struct reader *reader, bool *readable)
 static int warn_damaged(const struct reader *reader)
 {
     char *why;
-    int status = 0;
     BSQ_PASS(bsq_text_copy(reader->ctx, bsq_error(reader->ctx), &why));
     bsq_clear_error(reader->ctx);
-    if (!reader->again)
-        status =
-            bsq_warn_loss(reader->ctx, "%s: %s: its materials are missing", reader->place, why);
+    const int status =
+        bsq_warn_loss(reader->ctx, "%s: %s: its materials are missing", reader->place, why);
     bsq_free(reader->ctx, why);
     return status;
 }
 
-int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, const char *place, bool again,
+int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, const char *place,
                  struct fmt_materials *materials)
 {
-    struct reader reader = {
-        .ctx = ctx, .path = path, .place = place, .materials = materials, .again = again};
+    struct reader reader = {.ctx = ctx, .path = path, .place = place, .materials = materials};
     char *text = NULL;
     uint64_t size = 0;
     bool readable;

@@ -89,10 +89,9 @@ int fmt_obj_enter_libraries(struct stream_source *source, uint64_t line, const c
 
 /* Appends the materials of one MTL file. A file that does not exist, or is empty or not a regular
  * file, is a warning, not an error, as scans are often passed on without it. Malformed statements
- * are warnings. place: "scan.obj:1", the line that names the file, for its warnings. again: the
- * file was read before, so there are no warnings. Errors: BSQ_EDATA for a warning in a strict job;
- * those of bsq_file_open(). */
-int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, const char *place, bool again,
+ * are warnings. place: "scan.obj:1", the line that names the file, for its warnings. Errors:
+ * BSQ_EDATA for a warning in a strict job; those of bsq_file_open(). */
+int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, const char *place,
                  struct fmt_materials *materials);
 
 #endif

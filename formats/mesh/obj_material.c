@@ -87,7 +87,7 @@ done:
     return status;
 }
 
-/* Reads a library of a file. There are no warnings if it was previewed. */
+/* Reads a library of a file. Warnings were given if it was previewed. */
 static int read_library(const struct stream_source *source, uint64_t library,
                         struct fmt_materials *out)
 {
@@ -95,8 +95,9 @@ static int read_library(const struct stream_source *source, uint64_t library,
     char *place;
     BSQ_PASS(bsq_text_print(source->ctx, &place, "%s:%" PRIu64, source->path,
                             file->library_lines[library]));
-    int status = fmt_mtl_read(source->ctx, file->libraries.list[library], place,
-                              library < file->previewed, out);
+    bsq_mute_warnings(source->ctx, library < file->previewed);
+    const int status = fmt_mtl_read(source->ctx, file->libraries.list[library], place, out);
+    bsq_mute_warnings(source->ctx, false);
     bsq_free(source->ctx, place);
     return status;
 }

@@ -9,7 +9,7 @@ static int use(struct bsq_ctx *ctx, const char *const *paths, uint32_t count)
     const char *path = paths[0];
     (void)count;
     struct fmt_materials materials = {0};
-    int status = fmt_mtl_read(ctx, path, "a.obj:1", false, &materials);
+    int status = fmt_mtl_read(ctx, path, "a.obj:1", &materials);
     for (uint32_t i = 0; !status && i < materials.count; i++) {
         const struct fmt_material *m = &materials.list[i];
         require(m->name != NULL, "a material has no name");

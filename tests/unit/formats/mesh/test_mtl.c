@@ -46,7 +46,7 @@ static void read_text(struct fixture *f, const char *text)
 {
     open_fixture(f);
     const char *path = test_text("test.mtl", text);
-    assert_int_equal(fmt_mtl_read(f->ctx, path, "a.obj:1", false, &f->materials), 0);
+    assert_int_equal(fmt_mtl_read(f->ctx, path, "a.obj:1", &f->materials), 0);
 }
 
 static void assert_diffuse(const struct fmt_material *m, float r, float g, float b)
@@ -209,7 +209,7 @@ TEST(test_zero_bytes)
     struct fixture f;
     open_fixture(&f);
     const char *path = test_bytes("test.mtl", text, sizeof text - 1);
-    assert_int_equal(fmt_mtl_read(f.ctx, path, "a.obj:1", false, &f.materials), 0);
+    assert_int_equal(fmt_mtl_read(f.ctx, path, "a.obj:1", &f.materials), 0);
     assert_int_equal(f.materials.count, 1);
     assert_int_equal(f.warnings, 1);
     assert_string_equal(f.warning,
@@ -222,7 +222,7 @@ TEST(test_files_append)
     struct fixture f;
     read_text(&f, "newmtl a\nnewmtl b\n");
     const char *path = test_bytes("more.mtl", "\xef\xbb\xbfnewmtl c\nKd 0 1 0", 20);
-    assert_int_equal(fmt_mtl_read(f.ctx, path, "a.obj:1", false, &f.materials), 0);
+    assert_int_equal(fmt_mtl_read(f.ctx, path, "a.obj:1", &f.materials), 0);
     assert_int_equal(f.materials.count, 3);
     assert_string_equal(f.materials.list[2].name, "c");
     close_fixture(&f);
@@ -235,7 +235,7 @@ TEST(test_every_truncated_length)
         struct fixture f;
         open_fixture(&f);
         const char *path = test_bytes("cut.mtl", text, size);
-        assert_int_equal(fmt_mtl_read(f.ctx, path, "a.obj:1", false, &f.materials), 0);
+        assert_int_equal(fmt_mtl_read(f.ctx, path, "a.obj:1", &f.materials), 0);
         close_fixture(&f);
     }
 }
