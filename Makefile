@@ -91,7 +91,7 @@ shared   := $(BUILD)/lib/libbisque.so.0
 program_stamp  := formats/program/stamp.c
 shared_headers := $(addprefix base/,version.h context.h file.h output.h parallel.h) \
     $(addprefix formats/,material/file_extent.h program/program.h mesh/gltf_task.h texture/image_rows.h \
-    grid/nvdb.h grid/nvdb_layout_internal.h grid/vdb_program.h)
+    grid/nvdb.h grid/nvdb_layout_internal.h)
 directory_cppflags = -DFMT_PROGRAM_DIRECTORY='"$(prefix)/lib/bisque"'
 stamp_cppflags = \
     -DFMT_PROGRAM_STAMP='"$(VERSION)-$(firstword $(shell cat $(shared_headers) | cksum))"'

@@ -383,6 +383,17 @@ static inline const struct nvdb_trailer *nvdb_trailer_of(const struct fmt_nvdb_g
                                          grid->layout.section[NVDB_TRAILER].offset);
 }
 
+/* Bytes that OpenVDB takes for nodes of vectors and of bits, with malloc's overhead: the memory of
+ * the program bisque-vdb, which its caller reserves. vdb_program.cc checks them. */
+enum {
+    VDB_VECTOR_LEAF = 128 + 512 * 12,
+    VDB_VECTOR_LOWER = 66608,
+    VDB_VECTOR_UPPER = 532624,
+    VDB_BIT_LEAF = 112,
+    VDB_BIT_LOWER = 33840,
+    VDB_BIT_UPPER = 270480
+};
+
 #ifdef __cplusplus
 }
 #endif

@@ -6,7 +6,6 @@
 #include <xxhash.h>
 
 #include "formats/grid/nvdb_layout_internal.h"
-#include "formats/grid/vdb_program.h"
 #include "formats/program/program.h"
 
 static const char purpose[] = "OpenVDB files";

@@ -26,7 +26,6 @@ extern "C" {
 #include "base/geometry/vec.h"
 }
 #include "formats/grid/nvdb_layout_internal.h"
-#include "formats/grid/vdb_program.h"
 #include "formats/program/program.h"
 
 namespace

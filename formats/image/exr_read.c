@@ -33,9 +33,8 @@ struct fmt_exr_rows {
     float *samples;         /* of the image, or of one row of chunks */
     uint32_t across;        /* texels of a line of them */
     uint32_t first_row, first_column; /* of the chunks in them */
-    exr_decode_pipeline_t *decoders;  /* one a worker */
+    exr_decode_pipeline_t *decoders;  /* one a worker; each has a context from its first chunk on */
     unsigned workers;
-    bool *ready;
     uint64_t reserved_bytes;
     uint32_t next; /* row */
     uint32_t side; /* of tiles; 0: there are none, or they are no squares */
@@ -301,14 +300,11 @@ static int decode_chunk(void *arg, uint64_t index, unsigned worker)
         info.unpacked_size != expected || info.packed_size > reader->input->size ||
         (info.compression == EXR_COMPRESSION_NONE && info.packed_size != expected))
         return refuse(reader, "a block has the wrong size");
-    if (reader->ready[worker])
-        r = exr_decoding_update(reader->file, 0, &info, decoder);
-    else
-        r = exr_decoding_initialize(reader->file, 0, &info, decoder);
-    if (r == EXR_ERR_SUCCESS && !reader->ready[worker]) {
-        reader->ready[worker] = true;
+    const bool fresh = !decoder->context;
+    r = fresh ? exr_decoding_initialize(reader->file, 0, &info, decoder)
+              : exr_decoding_update(reader->file, 0, &info, decoder);
+    if (r == EXR_ERR_SUCCESS && fresh)
         r = exr_decoding_choose_default_routines(reader->file, 0, decoder);
-    }
     if (r == EXR_ERR_SUCCESS) {
         decoder->decoding_user_data = &target;
         decoder->unpack_and_convert_fn = unpack_chunk;
@@ -334,7 +330,6 @@ static int exr_in_allocate(struct fmt_exr_rows *reader, uint32_t across, uint32_
     BSQ_PASS(bsq_reserve(ctx, "EXR decoding", bytes));
     reader->reserved_bytes = bytes;
     BSQ_PASS(BSQ_CALLOC(ctx, "EXR decoders", workers, &reader->decoders));
-    BSQ_PASS(BSQ_CALLOC(ctx, "EXR decoders", workers, &reader->ready));
     reader->across = across;
     return bsq_alloc(ctx, "EXR image", (uint64_t)across * lines, reader->kept * sizeof(float),
                      &reader->samples);
@@ -364,12 +359,12 @@ static int exr_in_read_header(struct fmt_exr_rows *reader, bool by_rows)
 static void close_reader(struct fmt_exr_rows *reader)
 {
     struct bsq_ctx *ctx = reader->stream.ctx;
-    for (unsigned w = 0; reader->ready && w < reader->workers; ++w)
-        if (reader->ready[w])
+    for (unsigned w = 0; reader->decoders && w < reader->workers; ++w)
+        if (reader->decoders[w].context)
             exr_decoding_destroy(reader->file, &reader->decoders[w]);
     if (reader->file)
         exr_finish(&reader->file);
-    BSQ_FREE(ctx, reader->decoders, reader->ready, reader->places, reader->samples);
+    BSQ_FREE(ctx, reader->decoders, reader->places, reader->samples);
     bsq_release(ctx, reader->reserved_bytes);
     fmt_exr_image_free(ctx, &reader->image);
 }
