@@ -93,12 +93,6 @@ int fmt_mesh_hex_digit(char c)
 /* Ways to read a name, in the order of the trials. */
 enum form { AS_WRITTEN, WITH_SLASHES, LAST_COMPONENT, FORM_COUNT };
 
-struct search {
-    struct bsq_ctx *ctx;
-    const char *beside;
-    char *path; /* the file, when it is found; owned */
-};
-
 /* Returns the length of the directory of a file, with its slash. */
 static size_t directory_length(const char *path)
 {
@@ -173,29 +167,13 @@ static int match_capitals(struct bsq_ctx *ctx, char *path, size_t from, bool *fo
 
 /* ---- trials ---- */
 
-/* Looks for the file `name`. Sets search->path if it exists. */
-static int try_path(struct search *search, const char *name, enum form form)
+/* Looks for a file that a text names in this form, unless that of an earlier form is the same. Sets
+ * *out to its path; NULL: there is none. */
+static int try_name(struct bsq_ctx *ctx, const char *beside, const char *text, enum form form,
+                    char **out)
 {
-    const size_t directory = name[0] == '/' ? 0 : directory_length(search->beside);
-    char *path;
+    const char *mapped = bsq_map_path(ctx, text), *name = mapped;
     bool found = false;
-    BSQ_PASS(fmt_path_beside(search->ctx, search->beside, name, &path));
-    for (char *c = path + directory; *c && form == WITH_SLASHES; c++)
-        *c = *c == '\\' ? '/' : *c;
-    int status = match_capitals(search->ctx, path, directory, &found);
-    if (!status && found)
-        status = check_file(search->ctx, path, &found);
-    if (!status && found)
-        search->path = path;
-    else
-        bsq_free(search->ctx, path);
-    return status;
-}
-
-/* Tries a text as a name. */
-static int try_text(struct search *search, const char *text, enum form form)
-{
-    const char *mapped = bsq_map_path(search->ctx, text), *name = mapped;
     if (!mapped)
         return BSQ_ENOMEM;
     if (form == LAST_COMPONENT) {
@@ -207,34 +185,43 @@ static int try_text(struct search *search, const char *text, enum form form)
         (form == WITH_SLASHES && !strchr(name, '\\')) || (form == LAST_COMPONENT && name == mapped);
     if (!*name || tried)
         return 0;
-    int status = bsq_check(search->ctx); /* directories may be long */
-    return status ? status : try_path(search, name, form);
+    const size_t directory = name[0] == '/' ? 0 : directory_length(beside);
+    BSQ_PASS(bsq_check(ctx)); /* directories may be long */
+    BSQ_PASS(fmt_path_beside(ctx, beside, name, out));
+    for (char *c = *out + directory; *c && form == WITH_SLASHES; c++)
+        *c = *c == '\\' ? '/' : *c;
+    int status = match_capitals(ctx, *out, directory, &found);
+    if (!status && found)
+        status = check_file(ctx, *out, &found);
+    if (status || !found) {
+        bsq_free(ctx, *out);
+        *out = NULL;
+    }
+    return status;
 }
 
 int fmt_path_find(struct bsq_ctx *ctx, const char *beside, const char *name, char **out,
                   bool *exists)
 {
-    struct search search = {.ctx = ctx, .beside = beside};
     char *bare = NULL;
     const char *mapped;
     int status;
+    *out = NULL;
     BSQ_TRY(bsq_text_copy(ctx, name, &bare));
     const bool quoted = fmt_mesh_unquote(bare);
-    for (enum form form = AS_WRITTEN; form < FORM_COUNT && !search.path; form++) {
-        BSQ_TRY(try_text(&search, name, form));
-        if (quoted && !search.path)
-            BSQ_TRY(try_text(&search, bare, form));
+    for (enum form form = AS_WRITTEN; form < FORM_COUNT && !*out; form++) {
+        BSQ_TRY(try_name(ctx, beside, name, form, out));
+        if (quoted && !*out)
+            BSQ_TRY(try_name(ctx, beside, bare, form, out));
     }
-    if (exists)
-        *exists = search.path != NULL;
-    if (search.path)
+    *exists = *out != NULL;
+    if (*exists)
         goto done;
     if (!quoted)
         fmt_mesh_tidy_name(bare);
     mapped = bsq_map_path(ctx, bare);
-    status = mapped ? fmt_path_beside(ctx, beside, mapped, &search.path) : BSQ_ENOMEM;
+    status = mapped ? fmt_path_beside(ctx, beside, mapped, out) : BSQ_ENOMEM;
 done:
     bsq_free(ctx, bare);
-    *out = search.path;
     return status;
 }

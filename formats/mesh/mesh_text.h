@@ -77,8 +77,7 @@ int fmt_path_beside(struct bsq_ctx *ctx, const char *beside, const char *path, c
  * quotes around it; and each with these capitals, then with folders and a file that differ in
  * capitals. A texture of tiles (formats/material/tile_files.h) exists if a tile does, and its last
  * component keeps its capitals. *out is the first file, otherwise the name without quotes or
- * comment; free it with bsq_free(). exists may be NULL. Errors: BSQ_ENOMEM, BSQ_EINTR; then *out is
- * NULL. */
+ * comment; free it with bsq_free(). Errors: BSQ_ENOMEM, BSQ_EINTR; then *out is NULL. */
 int fmt_path_find(struct bsq_ctx *ctx, const char *beside, const char *name, char **out,
                   bool *exists);
 
