@@ -200,8 +200,8 @@ static int shading_find_textures(const struct fmt_shading *shading)
 int fmt_shading_open_textures(struct fmt_shading *shading, uint64_t cache_bytes)
 {
     BSQ_PASS(shading_find_textures(shading));
-    return fmt_textures_open_each(shading->ctx, shading->attribute_count * source_count(shading),
-                                  image_of, shading, cache_bytes, &shading->textures);
+    return fmt_textures_open(shading->ctx, shading->attribute_count * source_count(shading),
+                             image_of, shading, cache_bytes, &shading->textures);
 }
 
 int fmt_shading_tell_losses(const struct fmt_shading *shading)

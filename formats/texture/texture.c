@@ -91,26 +91,28 @@ static int texture_add(struct fmt_textures *t, const struct fmt_texture_source *
 }
 
 /* Lists each distinct source once, in the order of the sources: materials often share a file. */
-static int texture_list(struct fmt_textures *t, const struct fmt_texture_source *sources,
-                        uint32_t count)
+static int texture_list(struct fmt_textures *t, uint32_t count,
+                        void (*source_of)(const void *, uint64_t, struct fmt_texture_source *),
+                        const void *arg)
 {
     struct bsq_ctx *ctx = t->ctx;
     uint32_t *known = NULL; /* of each path: its textures, by what else a source says */
     uint64_t capacity = 0, paths = 0, path = 0;
     int status = 0;
     for (uint32_t i = 0; i < count; i++) {
-        const struct fmt_texture_source *source = &sources[i];
+        struct fmt_texture_source source = {0};
+        source_of(arg, i, &source);
         t->texture_of[i] = UINT32_MAX;
-        if (!source->path)
+        if (!source.path)
             continue;
-        BSQ_TRY(bsq_texts_add(ctx, &t->tally, &t->paths, source->path, &path));
+        BSQ_TRY(bsq_texts_add(ctx, &t->tally, &t->paths, source.path, &path));
         BSQ_TRY(BSQ_GROW(ctx, "textures", 8 * t->paths.count, &known, &capacity));
         for (; paths < t->paths.count; paths++)
             memset(known + 8 * paths, 0xff, 8 * sizeof *known);
-        uint32_t *texture = &known[8 * path + 4 * source->data + 2 * source->alpha + source->srgb];
+        uint32_t *texture = &known[8 * path + 4 * source.data + 2 * source.alpha + source.srgb];
         if (*texture == UINT32_MAX) {
             *texture = (uint32_t)t->count;
-            BSQ_TRY(texture_add(t, source, t->paths.list[path]));
+            BSQ_TRY(texture_add(t, &source, t->paths.list[path]));
         }
         t->texture_of[i] = *texture;
     }
@@ -240,46 +242,26 @@ static int texture_decode_all(struct fmt_textures *t)
 
 /* ---- opening and closing ---- */
 
-int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sources, uint32_t count,
-                      uint64_t cache_bytes, struct fmt_textures **out)
+int fmt_textures_open(struct bsq_ctx *ctx, uint64_t count,
+                      void (*source_of)(const void *, uint64_t, struct fmt_texture_source *),
+                      const void *arg, uint64_t cache_bytes, struct fmt_textures **out)
 {
     struct fmt_textures *t = NULL;
     int status;
     *out = NULL;
+    if (count > UINT32_MAX)
+        return bsq_fail(ctx, BSQ_EDATA, "too many textures: %" PRIu64, count);
     BSQ_TRY(BSQ_CALLOC(ctx, "textures", 1, &t));
     t->ctx = ctx;
     t->keeps = cache_bytes > 0;
     fmt_blocks_create(ctx, cache_bytes, &t->blocks);
-    BSQ_TRY(BSQ_ALLOC(ctx, "textures", count + UINT64_C(1), &t->texture_of));
-    BSQ_TRY(texture_list(t, sources, count));
+    BSQ_TRY(BSQ_ALLOC(ctx, "textures", count + 1, &t->texture_of));
+    BSQ_TRY(texture_list(t, (uint32_t)count, source_of, arg));
     BSQ_TRY(texture_decode_all(t));
-    *out = t;
+    *out = t->count > 0 ? t : NULL;
 done:
-    if (status < 0)
+    if (!*out)
         fmt_textures_close(t);
-    return status;
-}
-
-int fmt_textures_open_each(struct bsq_ctx *ctx, uint64_t count,
-                           void (*source_of)(const void *arg, uint64_t index,
-                                             struct fmt_texture_source *out),
-                           const void *arg, uint64_t cache_bytes, struct fmt_textures **out)
-{
-    struct fmt_texture_source *sources = NULL;
-    bool any = false;
-    int status;
-    *out = NULL;
-    if (count > UINT32_MAX)
-        return bsq_fail(ctx, BSQ_EDATA, "too many textures: %" PRIu64, count);
-    BSQ_TRY(BSQ_CALLOC(ctx, "texture paths", count + 1, &sources));
-    for (uint64_t i = 0; i < count; i++) {
-        source_of(arg, i, &sources[i]);
-        any |= sources[i].path != NULL;
-    }
-    if (any)
-        BSQ_TRY(fmt_textures_open(ctx, sources, (uint32_t)count, cache_bytes, out));
-done:
-    bsq_free(ctx, sources);
     return status;
 }
 

@@ -20,29 +20,30 @@ struct fmt_texture_source {
     bool alpha;       /* its alpha channel; of an image without one, the first channel, as data */
 };
 
-/* Opens `count` images. A path may have tokens for UDIM tiles (formats/material/tile_files.h), each
- * of which is a file. What lies in no tile is black, and so are tiles whose file cannot be read,
- * unless all of a texture cannot. A source that occurs twice is opened once. Reads each image
- * through once, on all threads, so it must not be called from parallel work. The images and their
- * cache take at most cache_bytes (1 MiB if it is less); those that exceed it are copied to a
- * temporary file. Decoders take memory beside that.
+/* Opens `count` images, which source_of() tells one by one: it sets the members of *out, which are
+ * zeros before. Sets *out to NULL if none has a path. A path may have tokens for UDIM tiles
+ * (formats/material/tile_files.h), each of which is a file. What lies in no tile is black, and so
+ * are tiles whose file cannot be read, unless all of a texture cannot. A source that occurs twice
+ * is opened once. Reads each image through once, on all threads, so it must not be called from
+ * parallel work. The images and their cache take at most cache_bytes (1 MiB if it is less); those
+ * that exceed it are copied to a temporary file. Decoders take memory beside that.
  *
  * 0 cache_bytes: keeps no texels, so there are no lookups. Files that cannot be read are no failure
  * then, see fmt_texture_problem().
  *
  * Errors: BSQ_ENOINPUT or BSQ_EDATA for a file that is missing, no image, or damaged; BSQ_EIO,
  * BSQ_ENOMEM. */
-int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sources, uint32_t count,
-                      uint64_t cache_bytes, struct fmt_textures **out);
+int fmt_textures_open(struct bsq_ctx *ctx, uint64_t count,
+                      void (*source_of)(const void *arg, uint64_t index,
+                                        struct fmt_texture_source *out),
+                      const void *arg, uint64_t cache_bytes, struct fmt_textures **out);
+/* Tells a source of an array of them. */
+static inline void fmt_texture_source_at(const void *sources, uint64_t index,
+                                         struct fmt_texture_source *out)
+{
+    *out = ((const struct fmt_texture_source *)sources)[index];
+}
 void fmt_textures_close(struct fmt_textures *textures); /* NULL is allowed */
-
-/* Opens the images of `count` sources that source_of() tells one by one: it sets the members of
- * *out, which are zeros before. Sets *out to NULL if none has a path. Otherwise as
- * fmt_textures_open(). */
-int fmt_textures_open_each(struct bsq_ctx *ctx, uint64_t count,
-                           void (*source_of)(const void *arg, uint64_t index,
-                                             struct fmt_texture_source *out),
-                           const void *arg, uint64_t cache_bytes, struct fmt_textures **out);
 
 /* Warns of the tiles whose files cannot be read, with what is wrong with the first one of each
  * texture. Errors: BSQ_EDATA in a strict job. */

@@ -272,7 +272,7 @@ static int open_skew(struct bake_job *job)
         BSQ_TRY(name ? bsq_note_input(job->ctx, name, "the skew map")
                      : bsq_fail(job->ctx, BSQ_ENOMEM, "%s: out of memory", path));
     }
-    BSQ_TRY(fmt_textures_open(job->ctx, sources, count, cache, &job->skew));
+    BSQ_TRY(fmt_textures_open(job->ctx, count, fmt_texture_source_at, sources, cache, &job->skew));
     status = fmt_textures_tell_losses(job->skew);
 done:
     for (uint32_t i = 0; sources && i < count; i++)

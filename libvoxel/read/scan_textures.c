@@ -116,7 +116,7 @@ static int check_new(struct bsq_ctx *ctx, struct scan_textures *textures)
         BSQ_TRY(bsq_check(ctx));
         BSQ_TRY(check_file(ctx, textures->paths.list[i], &textures->list[i]));
     }
-    BSQ_TRY(fmt_textures_open_each(ctx, count, source_of, textures, 0, &images));
+    BSQ_TRY(fmt_textures_open(ctx, count, source_of, textures, 0, &images));
     if (images)
         BSQ_TRY(fmt_textures_tell_damage(images));
     for (uint64_t i = 0; i < count && images; i++)

@@ -18,7 +18,7 @@ static int use(struct bsq_ctx *ctx, const char *const *paths, uint32_t count)
     struct fmt_textures *textures;
     float color[3];
     (void)count;
-    int status = fmt_textures_open(ctx, &source, 1, 1, &textures);
+    int status = fmt_textures_open(ctx, 1, fmt_texture_source_at, &source, 1, &textures);
     if (status)
         return status;
     for (int i = 0; !status && i < 18; i++) {

@@ -116,7 +116,7 @@ static int arrays_sample(struct bsq_ctx *ctx, const char *path, bool data, bool 
     const struct fmt_texture_source source = {
         .path = path, .data = data, .srgb = !data, .alpha = alpha};
     struct fmt_textures *textures = NULL;
-    int status = fmt_textures_open(ctx, &source, 1, cache_bytes, &textures);
+    int status = fmt_textures_open(ctx, 1, fmt_texture_source_at, &source, cache_bytes, &textures);
     for (uint64_t i = 0; status == 0 && i < count; i++)
         status = fmt_texture_sample(textures, 0, clamp, uv[i][0], uv[i][1], 0, 0, out[i]);
     fmt_textures_close(textures);

@@ -52,7 +52,8 @@ static void expect(const void *bytes, size_t size, const char *reason)
     const struct fmt_texture_source source = {.path = test_bytes("a.jpg", bytes, size)};
     char expected[300];
     assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    const int status = fmt_textures_open(ctx, &source, 1, 12 << 20, &textures);
+    const int status =
+        fmt_textures_open(ctx, 1, fmt_texture_source_at, &source, 12 << 20, &textures);
     assert_int_equal(status, reason ? BSQ_EDATA : 0);
     if (reason) {
         snprintf(expected, sizeof expected, "%s: damaged image: %s", source.path, reason);
@@ -94,7 +95,9 @@ TEST(test_zeros_in_the_middle)
         const struct fmt_texture_source source = {.path =
                                                       test_bytes("a.jpg", jpeg.bytes, jpeg.size)};
         assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-        assert_int_equal(fmt_textures_open(ctx, &source, 1, 12 << 20, &textures), BSQ_EDATA);
+        assert_int_equal(
+            fmt_textures_open(ctx, 1, fmt_texture_source_at, &source, 12 << 20, &textures),
+            BSQ_EDATA);
         snprintf(message, sizeof message, "%s: damaged image: Corrupt JPEG data: ", source.path);
         assert_memory_equal(bsq_error(ctx), message, strlen(message));
         bsq_ctx_destroy(ctx);
@@ -135,8 +138,9 @@ TEST(test_a_part_of_a_file)
         const struct fmt_texture_source source = {.path = part};
         snprintf(part, sizeof part, "%s#bytes=1000+%lu", path, whole ? jpeg.size : jpeg.size / 4);
         assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-        assert_int_equal(fmt_textures_open(ctx, &source, 1, 12 << 20, &textures),
-                         whole ? 0 : BSQ_EDATA);
+        assert_int_equal(
+            fmt_textures_open(ctx, 1, fmt_texture_source_at, &source, 12 << 20, &textures),
+            whole ? 0 : BSQ_EDATA);
         fmt_textures_close(textures);
         bsq_ctx_destroy(ctx);
     }

@@ -168,7 +168,8 @@ static int open_textures(struct fixture *f, const char *const *paths, uint32_t c
     for (uint32_t i = 0; i < count; i++)
         sources[i].path = paths[i];
     assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
-    int status = fmt_textures_open(f->ctx, sources, count, cache, &f->textures);
+    int status =
+        fmt_textures_open(f->ctx, count, fmt_texture_source_at, sources, cache, &f->textures);
     free(sources);
     return status;
 }
@@ -622,7 +623,8 @@ static void open_alpha(struct fixture *f, const char *path)
     const struct bsq_ctx_options options = {.threads = 2, .memory_bytes = 256 << 20, .tmpdir = "."};
     const struct fmt_texture_source source = {.path = path, .alpha = true};
     assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
-    assert_int_equal(fmt_textures_open(f->ctx, &source, 1, 32 << 20, &f->textures), 0);
+    assert_int_equal(
+        fmt_textures_open(f->ctx, 1, fmt_texture_source_at, &source, 32 << 20, &f->textures), 0);
 }
 
 /* Alpha is data; an image without it gives its first channel. */
