@@ -6,8 +6,6 @@
 #include <stdio.h>
 #include <string.h>
 #include <strings.h>
-#include <sys/stat.h>
-#include <unistd.h>
 
 #include "base/context.h"
 #include "formats/mesh/mesh_format.h"
@@ -139,19 +137,10 @@ static int choose_format(struct stream_source *source)
 
 /* ---- opening ---- */
 
-/* Sets *info for a path; "-" is standard input. Returns false if it cannot be seen. */
-static bool identify(const char *path, struct stat *info)
+/* Returns the name that the system knows for a path; "-" is standard input. */
+static const char *system_name(const char *path)
 {
-    return (strcmp(path, "-") == 0 ? fstat(STDIN_FILENO, info) : stat(path, info)) == 0;
-}
-
-/* Returns whether two paths name one file. */
-static bool is_same(const char *a, const char *b)
-{
-    struct stat info_a, info_b;
-    if (!identify(a, &info_a) || !identify(b, &info_b))
-        return strcmp(a, b) == 0;
-    return info_a.st_dev == info_b.st_dev && info_a.st_ino == info_b.st_ino;
+    return strcmp(path, "-") == 0 ? "/dev/stdin" : path;
 }
 
 /* Checks that input number `i` is not a pipe that is among the earlier ones. */
@@ -160,7 +149,7 @@ static int check_once(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from, u
     if (!from->pipes || !fmt_input_is_pipe(from->paths[i]))
         return 0;
     for (uint32_t k = 0; k < i; k++)
-        if (is_same(from->paths[k], from->paths[i]))
+        if (bsq_same_file(system_name(from->paths[k]), system_name(from->paths[i])))
             return bsq_fail(ctx, BSQ_EUSAGE, "%s: a pipe can be read only once", from->paths[i]);
     return 0;
 }

@@ -121,18 +121,11 @@ static const struct format *find_format(struct probe *probe)
 
 /* ---- opening ---- */
 
-int fmt_rows_unreadable(const struct fmt_rows_input *input, const char *reason)
-{
-    return input->status < 0 ? input->status
-                             : bsq_fail(input->ctx, BSQ_EDATA, "%s: not a readable image: %s",
-                                        input->path, reason);
-}
-
-int fmt_rows_damaged(const struct fmt_rows_input *input, const char *reason)
+int fmt_rows_fail(const struct fmt_rows_input *input, const char *what, const char *reason)
 {
     return input->status < 0
                ? input->status
-               : bsq_fail(input->ctx, BSQ_EDATA, "%s: damaged image: %s", input->path, reason);
+               : bsq_fail(input->ctx, BSQ_EDATA, "%s: %s: %s", input->path, what, reason);
 }
 
 static ssize_t rows_read_stream(void *cookie, char *to, size_t size)
@@ -185,7 +178,7 @@ static int open_decoder(struct fmt_rows *rows, const struct format *format, unsi
     }
     BSQ_PASS(rows->decoder->open(&rows->input, &rows->info, &rows->state));
     if (info->width < 1 || info->height < 1 || info->channels < 1)
-        return fmt_rows_unreadable(&rows->input, "it has no texels");
+        return fmt_rows_fail(&rows->input, FMT_ROWS_UNREADABLE, "it has no texels");
     return info->whole ? reserve_whole(rows, format->name) : rows_reserve(rows, info->bytes);
 }
 
@@ -212,7 +205,7 @@ int fmt_rows_open(struct bsq_ctx *ctx, const char *path, unsigned sharers, struc
     if (format) /* what is no image is not copied: it may be large */
         BSQ_PASS(extract(rows, &extent));
     if (!format)
-        return fmt_rows_unreadable(&rows->input, no_format);
+        return fmt_rows_fail(&rows->input, FMT_ROWS_UNREADABLE, no_format);
     const int status = open_decoder(rows, format, sharers);
     if (status != BSQ_RETRY)
         return status;

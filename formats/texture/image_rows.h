@@ -73,8 +73,9 @@ void fmt_rows_close(struct fmt_rows *rows); /* zeros are allowed */
 
 /* Reports what a decoder says of a file, for decoders here, unless the file could not be read.
  * Returns BSQ_EDATA or the status of the failed read. */
-int fmt_rows_unreadable(const struct fmt_rows_input *input, const char *reason);
-int fmt_rows_damaged(const struct fmt_rows_input *input, const char *reason);
+int fmt_rows_fail(const struct fmt_rows_input *input, const char *what, const char *reason);
+#define FMT_ROWS_UNREADABLE "not a readable image"
+#define FMT_ROWS_DAMAGED    "damaged image"
 
 #ifdef __cplusplus
 }

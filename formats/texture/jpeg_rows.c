@@ -138,7 +138,9 @@ static int open_jpeg(struct fmt_rows_input *input, struct fmt_rows_info *info, v
     BSQ_PASS(BSQ_CALLOC(input->ctx, "a JPEG decoder", 1, &rows));
     *state = rows;
     rows->input = input;
-    return jpeg_rows_read_header(rows, info) < 0 ? fmt_rows_unreadable(input, rows->message) : 0;
+    return jpeg_rows_read_header(rows, info) < 0
+               ? fmt_rows_fail(input, FMT_ROWS_UNREADABLE, rows->message)
+               : 0;
 }
 
 static void close_jpeg(void *state)
@@ -165,7 +167,7 @@ static int read_jpeg(void *state, void *row)
     struct jpeg_decompress_struct *jpeg = &rows->jpeg;
     const bool inks = jpeg->out_color_space == JCS_CMYK;
     if (setjmp(rows->target))
-        return fmt_rows_damaged(rows->input, rows->message);
+        return fmt_rows_fail(rows->input, FMT_ROWS_DAMAGED, rows->message);
     if (!rows->started) {
         rows->started = true;
         jpeg_start_decompress(jpeg);

@@ -66,22 +66,21 @@ void OiioReader::describe(struct fmt_rows_info &info)
 
 void OiioReader::open(const std::string &plugin, struct fmt_rows_info &info)
 {
-    static const char unreadable[] = "not a readable image";
     ImageSpec found, config;
     config["oiio:UnassociatedAlpha"] = 1;
     OIIO::attribute("exr_threads", -1); // decodes on the calling thread
     errno = 0;
     image = ImageInput::create(plugin);
     if (!image)
-        fmt_image_fail(errno, unreadable, OIIO::geterror());
+        fmt_image_fail(errno, FMT_ROWS_UNREADABLE, OIIO::geterror());
     image->threads(1);
     if (!image->open(fmt_image_file, found, config))
-        fmt_image_fail(errno, unreadable, image->geterror());
+        fmt_image_fail(errno, FMT_ROWS_UNREADABLE, image->geterror());
     const ImageSpec &spec = image->spec();
     if (spec.width < 1 || spec.height < 1 || spec.nchannels < 1 || spec.depth > 1 || spec.deep)
-        fmt_image_fail(0, unreadable, "it is not two-dimensional");
+        fmt_image_fail(0, FMT_ROWS_UNREADABLE, "it is not two-dimensional");
     if (spec.format == TypeDesc::DOUBLE) // OpenImageIO 2.4 reads other numbers
-        fmt_image_fail(0, unreadable, "it has samples of 64 bits");
+        fmt_image_fail(0, FMT_ROWS_UNREADABLE, "it has samples of 64 bits");
     describe(info);
 }
 
@@ -114,7 +113,7 @@ void OiioReader::read_row(char *row)
     else if (line == 0)
         good = read_band();
     if (!good)
-        fmt_image_fail(errno, "damaged image", image->geterror());
+        fmt_image_fail(errno, FMT_ROWS_DAMAGED, image->geterror());
     if (spec.tile_width > 0)
         std::memcpy(row, &band[size_t(line) * row_bytes], row_bytes);
     next++;

@@ -114,7 +114,7 @@ static int open_png(struct fmt_rows_input *input, struct fmt_rows_info *info, vo
     rows->info = rows->png ? png_create_info_struct(rows->png) : NULL;
     return rows->info && png_rows_read_header(rows, info) == 0
                ? 0
-               : fmt_rows_unreadable(input, reason(rows));
+               : fmt_rows_fail(input, FMT_ROWS_UNREADABLE, reason(rows));
 }
 
 bool fmt_png_text(const void *state, uint32_t i, const char **name, const char **value)
@@ -143,7 +143,7 @@ static void close_png(void *state)
 static int read_row(struct png_rows *rows, png_bytep row)
 {
     if (setjmp(rows->target))
-        return fmt_rows_damaged(rows->input, reason(rows));
+        return fmt_rows_fail(rows->input, FMT_ROWS_DAMAGED, reason(rows));
     png_read_row(rows->png, row, NULL);
     return 0;
 }

@@ -62,7 +62,7 @@ class TiffReader : public ImageReader
 
 [[noreturn]] void refuse(const char *reason)
 {
-    fmt_image_fail(0, "not a readable image", reason);
+    fmt_image_fail(0, FMT_ROWS_UNREADABLE, reason);
 }
 
 // Returns the product of sizes that a file names.
@@ -79,7 +79,7 @@ TIFF *open_file(const char *mode = "rm") // m: it is not mapped
     errno = 0;
     TIFF *tiff = TIFFOpen(fmt_image_file, mode);
     if (!tiff)
-        fail("not a readable image");
+        fail(FMT_ROWS_UNREADABLE);
     return tiff;
 }
 
@@ -169,7 +169,7 @@ void TiffReader::read_tiles()
     band.resize(product(across, column));
     for (size_t i = 0; i < across; i++) {
         if (TIFFReadTile(tiff, tile.data(), uint32_t(i * tile_width), next, 0, 0) < 0)
-            fail("damaged image");
+            fail(FMT_ROWS_DAMAGED);
         for (size_t y = 0; y < band_rows; y++)
             std::memcpy(&band[(y * across + i) * tile_row], &tile[y * tile_row], tile_row);
     }
@@ -182,7 +182,7 @@ const uint8_t *TiffReader::stored_row()
         row_bytes.resize(
             std::max(size_t(TIFFScanlineSize64(tiff)), product(size_t(width) * samples, bits / 8)));
         if (TIFFReadScanline(tiff, row_bytes.data(), next, 0) < 0)
-            fail("damaged image");
+            fail(FMT_ROWS_DAMAGED);
         return row_bytes.data();
     }
     if (next % band_rows == 0)
@@ -228,7 +228,7 @@ void TiffReader::read_converted(char *row)
             tile_width ? TIFFReadRGBATileExt(tiff, i * tile_width, next, &raster[i * column], 1)
                        : TIFFReadRGBAStripExt(tiff, next, raster.data(), 1));
     if (!good)
-        fail("damaged image");
+        fail(FMT_ROWS_DAMAGED);
     const uint32_t filled =
         tile_width ? band_rows : std::min(rows, height - (next - uint32_t(line)));
     for (size_t x = 0; x < width; x++) {
