@@ -96,34 +96,26 @@ static int find_texture(struct gltf_document *document, struct gltf_source *sour
 
 /* ---- texture coordinates ---- */
 
-/* Reads KHR_texture_transform: first the scale, then a rotation, then the offset. The rotation is
- * counter-clockwise where v points downwards. */
-static int read_transform(const struct gltf_item *item, const json_t *transform, double out[2][3])
-{
-    double offset[2] = {0, 0}, scale[2] = {1, 1}, rotation;
-    BSQ_PASS(fmt_gltf_numbers(item, transform, "offset", 2, offset));
-    BSQ_PASS(fmt_gltf_numbers(item, transform, "scale", 2, scale));
-    rotation = json_number_value(json_object_get(transform, "rotation"));
-    const double c = cos(rotation), s = sin(rotation);
-    const double matrix[2][3] = {{c * scale[0], s * scale[1], offset[0]},
-                                 {-s * scale[0], c * scale[1], offset[1]}};
-    memcpy(out, matrix, sizeof matrix);
-    return 0;
-}
-
 /* Reads which texture coordinates a texture uses: the number of their set, and the matrix of
- * KHR_texture_transform. `info` refers to the texture; NULL: set 0. */
+ * KHR_texture_transform, which is first the scale, then a rotation, counter-clockwise where v
+ * points downwards, then the offset. `info` refers to the texture; NULL: set 0. */
 static int read_texcoord(const struct gltf_item *item, const json_t *info, uint32_t *set,
                          double matrix[2][3])
 {
-    static const double identity[2][3] = {{1, 0, 0}, {0, 1, 0}};
     const json_t *transform = fmt_gltf_extension(info, "KHR_texture_transform");
+    double offset[2] = {0, 0}, scale[2] = {1, 1};
     uint64_t number = 0;
-    memcpy(matrix, identity, sizeof identity);
     BSQ_PASS(fmt_gltf_number(item, info, "texCoord", 1000000, &number));
     BSQ_PASS(fmt_gltf_number(item, transform, "texCoord", 1000000, &number));
+    BSQ_PASS(fmt_gltf_numbers(item, transform, "offset", 2, offset));
+    BSQ_PASS(fmt_gltf_numbers(item, transform, "scale", 2, scale));
+    const double rotation = json_number_value(json_object_get(transform, "rotation"));
+    const double c = cos(rotation), s = sin(rotation);
+    const double own[2][3] = {{c * scale[0], s * scale[1], offset[0]},
+                              {-s * scale[0], c * scale[1], offset[1]}};
+    memcpy(matrix, own, sizeof own);
     *set = (uint32_t)number;
-    return transform ? read_transform(item, transform, matrix) : 0;
+    return 0;
 }
 
 /* Returns the texture that chooses the texture coordinates of a material: the base colour's, or

@@ -7,6 +7,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "base/geometry/vec.h"
 #include "formats/mesh/gltf_internal.h"
 
 /* ---- meshes: which accessors their primitives use ---- */
@@ -268,15 +269,13 @@ static int read_transform(const struct gltf_item *item, double out[3][4])
  * Returns whether the node mirrors. */
 static bool invert_for_normals(const double m[3][4], double out[3][3])
 {
-    double determinant = 0, largest = 0;
-    for (int i = 0; i < 3; i++)
-        for (int k = 0; k < 3; k++) {
-            const int i1 = (i + 1) % 3, i2 = (i + 2) % 3, k1 = (k + 1) % 3, k2 = (k + 2) % 3;
-            out[i][k] = m[i1][k1] * m[i2][k2] - m[i1][k2] * m[i2][k1];
+    double largest = 0;
+    for (int i = 0; i < 3; i++) {
+        bsq_crossd(m[(i + 1) % 3], m[(i + 2) % 3], out[i]);
+        for (int k = 0; k < 3; k++)
             largest = fmax(largest, fabs(out[i][k]));
-        }
-    for (int k = 0; k < 3; k++)
-        determinant += m[0][k] * out[0][k];
+    }
+    const double determinant = bsq_dotd(m[0], out[0]);
     const double scale = largest > 0 ? (determinant < 0 ? -1 : 1) / largest : 1;
     for (int i = 0; i < 3; i++)
         for (int k = 0; k < 3; k++)
