@@ -3,9 +3,6 @@
 #define BSQ_SPACE_CURVE_H
 
 #include <stdint.h>
-#ifdef __SSE2__
-#include <emmintrin.h>
-#endif
 
 /* ---- the Z-order curve: Morton keys ----
  *
@@ -13,41 +10,23 @@
  * cube, with x in the highest bit; the next one is the octant in that octant, and so on. So the
  * first 3 n bits of a key name a cell of a grid of 2^n cells an axis. */
 
-/* Spreads the low 21 bits so that two zero bits follow each. */
-static inline uint64_t bsq_morton_spread(uint64_t x)
-{
-    x = (x | x << 32) & 0x001f00000000ffffu;
-    x = (x | x << 16) & 0x001f0000ff0000ffu;
-    x = (x | x << 8) & 0x100f00f00f00f00fu;
-    x = (x | x << 4) & 0x10c30c30c30c30c3u;
-    return (x | x << 2) & 0x1249249249249249u;
-}
-
-/* Returns the key of a cell with coordinates below 2^21. With SSE2 it spreads x and y side by side;
- * the result is the same. */
+/* Returns the key of a cell with coordinates below 2^21. Spreads the bits of each coordinate so
+ * that two zero bits follow each, those of x and y side by side. */
 static inline uint64_t bsq_morton_key(const uint32_t cell[3])
 {
-#ifdef __SSE2__
-    __m128i two = _mm_loadl_epi64((const __m128i *)(const void *)cell);
-    two = _mm_unpacklo_epi32(two, _mm_setzero_si128());
-    two = _mm_or_si128(two, _mm_slli_epi64(two, 32));
-    two = _mm_and_si128(two, _mm_set1_epi64x(0x001f00000000ffff));
-    two = _mm_or_si128(two, _mm_slli_epi64(two, 16));
-    two = _mm_and_si128(two, _mm_set1_epi64x(0x001f0000ff0000ff));
-    two = _mm_or_si128(two, _mm_slli_epi64(two, 8));
-    two = _mm_and_si128(two, _mm_set1_epi64x(0x100f00f00f00f00f));
-    two = _mm_or_si128(two, _mm_slli_epi64(two, 4));
-    two = _mm_and_si128(two, _mm_set1_epi64x(0x10c30c30c30c30c3));
-    two = _mm_or_si128(two, _mm_slli_epi64(two, 2));
-    two = _mm_and_si128(two, _mm_set1_epi64x(0x1249249249249249));
-    /* x goes two places up and y one. */
-    two = _mm_slli_epi64(two, 1);
-    two = _mm_or_si128(_mm_add_epi64(two, two), _mm_unpackhi_epi64(two, two));
-    return (uint64_t)_mm_cvtsi128_si64(two) | bsq_morton_spread(cell[2]);
-#else
-    return bsq_morton_spread(cell[0]) << 2 | bsq_morton_spread(cell[1]) << 1 |
-           bsq_morton_spread(cell[2]);
-#endif
+    typedef uint64_t two __attribute__((vector_size(16)));
+    two xy = {cell[0], cell[1]};
+    uint64_t z = cell[2];
+#define SPREAD(shift, mask)                                                                        \
+    xy = (xy | xy << (shift)) & (mask);                                                            \
+    z = (z | z << (shift)) & (mask)
+    SPREAD(32, 0x001f00000000ffffu);
+    SPREAD(16, 0x001f0000ff0000ffu);
+    SPREAD(8, 0x100f00f00f00f00fu);
+    SPREAD(4, 0x10c30c30c30c30c3u);
+    SPREAD(2, 0x1249249249249249u);
+#undef SPREAD
+    return xy[0] << 2 | xy[1] << 1 | z;
 }
 
 /* Returns the same key for coordinates below 32, from a table. */

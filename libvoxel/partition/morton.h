@@ -2,6 +2,10 @@
 #ifndef VOX_PARTITION_MORTON_H
 #define VOX_PARTITION_MORTON_H
 
+#ifdef __SSE2__
+#include <emmintrin.h>
+#endif
+
 #include "base/geometry/space_curve.h"
 
 #define MORTON_AXIS_BITS 21

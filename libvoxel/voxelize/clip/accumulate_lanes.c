@@ -351,7 +351,7 @@ static __attribute__((noinline)) int add_alone(const struct vox_accumulation *ch
         .cells = &cells,
     };
     struct single s;
-    doubles lowest[3];
+    doubles lowest[4];
     uint16_t places[LANE_COUNT];
     s.chunk_sums = chunk_sums;
     s.from = source_of(chunk_sums);

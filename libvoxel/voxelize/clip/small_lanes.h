@@ -51,7 +51,7 @@ choose_sides(const struct vox_chunk *chunk, const struct block_triangle *const t
  * share. lowest: the lowest voxel of each. */
 LANES_INLINE void load_triangles(const struct vox_accumulation *chunk_sums,
                                  const uint16_t places[LANE_COUNT], struct shade_triangles *t,
-                                 doubles lowest[3])
+                                 doubles lowest[4])
 {
     const struct vox_chunk *chunk = chunk_sums->chunk;
     const struct block_triangle *triangle[LANE_COUNT];
@@ -248,7 +248,7 @@ LANES_INLINE void divide_batch(const struct vox_accumulation *chunk_sums,
     struct cell_numbers numbers[3];
     struct queue queue;
     long long where[LANE_COUNT];
-    doubles lowest[3];
+    doubles lowest[4];
     const uint32_t cells = (uint32_t)((planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1));
     for (uint32_t l = 0; l < LANE_COUNT; l++) {
         bool used = l < count;

@@ -142,7 +142,7 @@ static void check_gathering(uint64_t *state)
     for (int k = 0; k < 4; k++)
         EXPECT_DOUBLES(out[k], narrow[i][k]);
     lanes_gather_integers(integers_from, out);
-    for (int k = 0; k < 3; k++)
+    for (int k = 0; k < 4; k++)
         EXPECT_DOUBLES(out[k], integers[i][k]);
     for (int k = 0; k < 6; k++)
         out[k] = lanes_load(in[k]);
