@@ -22,7 +22,7 @@ INCLUDES = '\n'.join(f'#include "{name}"' for name in (
 
 ffi = FFI()
 ffi.cdef((HERE / "bisque.cdef").read_text())
-ffi.set_source("bisque.lib._core", INCLUDES + f'\n#include "{HERE}/arrays.c"\n#include "{HERE}/images.c"\n'
+ffi.set_source("bisque.lib._core", INCLUDES + f'\n#include "{HERE}/images.c"\n'
                "#include <meshoptimizer.h>",
                include_dirs=[str(ROOT)], extra_objects=ARCHIVES, py_limited_api=True,
                define_macros=[("_GNU_SOURCE", None)], extra_compile_args=["-std=gnu11", "-g0"],

@@ -1,5 +1,5 @@
-/* images.c - writes smaller copies of the images of an asset, as PNG or JPEG files. Part of the
- * extension, see ffi_build.py. */
+/* images.c - writes smaller copies of the images of an asset, as PNG or JPEG files, and looks up
+ * points of an image. Part of the extension, see ffi_build.py. */
 #include <setjmp.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -10,6 +10,7 @@
 #include "base/srgb.h"
 #include "formats/image/image_writer.h"
 #include "formats/texture/image_rows.h"
+#include "formats/texture/texture.h"
 
 enum image_use { IMAGE_DATA, IMAGE_COLOR, IMAGE_NORMAL };
 
@@ -242,5 +243,24 @@ done:
         fmt_rows_close(&state->rows);
         BSQ_FREE(ctx, state->values, state->row, state->sums, state->bytes, state);
     }
+    return status;
+}
+
+/* ---- points of an image ---- */
+
+/* Filters an image bilinearly at `count` points, from its lower left corner; beyond its border,
+ * texels at the border count. cache_bytes, data, alpha, errors: as in formats/texture/texture.h. */
+static int images_sample(struct bsq_ctx *ctx, const char *path, bool data, bool alpha,
+                         uint64_t cache_bytes, uint64_t count, const float (*uv)[2],
+                         float (*out)[3])
+{
+    static const uint8_t clamp[2] = {FMT_WRAP_CLAMP, FMT_WRAP_CLAMP};
+    const struct fmt_texture_source source = {
+        .path = path, .data = data, .srgb = !data, .alpha = alpha};
+    struct fmt_textures *textures = NULL;
+    int status = fmt_textures_open(ctx, 1, fmt_texture_source_at, &source, cache_bytes, &textures);
+    for (uint64_t i = 0; status == 0 && i < count; i++)
+        status = fmt_texture_sample(textures, 0, clamp, uv[i][0], uv[i][1], 0, 0, out[i]);
+    fmt_textures_close(textures);
     return status;
 }

@@ -77,6 +77,17 @@ def on_rows(user: Any, rows: Any) -> int:
         return -71 if isinstance(failure, MemoryError) else -70
 
 
+@ffi.def_extern()
+def on_read(user: Any, to: Any, count: int, offset: int) -> int:
+    source = ffi.from_handle(user)
+    try:
+        source.give(ffi.cast("char *", to), count, offset)
+        return 0
+    except BaseException as failure:
+        source.job.failure = failure
+        return -71 if isinstance(failure, MemoryError) else -70
+
+
 def _remove(folder: str) -> None:
     """Removes a temporary folder with all that is in it, also if a signal comes meanwhile."""
     try:
@@ -230,23 +241,35 @@ def _paths(scan: Any) -> list[str]:
     return [os.fsdecode(scan)] if is_path(scan) else [os.fsdecode(item) for item in scan]
 
 
-def _rows(job: Job, array: np.ndarray | None, types: Sequence[str], other: str) -> dict:
-    """Describes the rows of an array without a copy, if it has one of these types and its rows have
-    no gaps; else of a copy."""
-    if array is None:
-        return {"first": ffi.NULL, "step": 0}
-    if array.dtype.str.lstrip("<|=") not in types:
-        array = array.astype(other)
-    if array.strides[1] != array.itemsize or array.strides[0] < 0:
-        array = np.ascontiguousarray(array)
-    job.keep(array)
-    return {"first": ffi.cast("const char *", array.ctypes.data), "step": array.strides[0]}
+class _Source:
+    """The bytes of a file of elements in memory. They are made when the library reads them, so there is no copy of
+    the arrays. elements: of each kind its type, its number, and the values of its members: an array or a number."""
+
+    def __init__(self, job: Job, elements: Sequence[tuple[np.dtype, int, dict]]):
+        self.job, self.elements = job, elements
+        self.bytes = sum(number * kind.itemsize for kind, number, _ in elements)
+
+    def give(self, to: Any, count: int, offset: int) -> None:
+        """Copies `count` bytes from byte `offset` on to `to`."""
+        for kind, number, members in self.elements:
+            size = number * kind.itemsize
+            begin, end = (min(max(at, 0), size) for at in (offset, offset + count))
+            offset -= size
+            if begin == end:
+                continue
+            first, last = begin // kind.itemsize, -(-end // kind.itemsize)
+            rows = np.empty(last - first, kind)
+            for name, values in members.items():
+                rows[name] = values[first:last] if isinstance(values, np.ndarray) else values
+            part = rows.view(np.uint8)[begin - first * kind.itemsize:][:end - begin]
+            ffi.memmove(to, ffi.from_buffer(part), end - begin)
+            to += end - begin
 
 
 def _source(job: Job, scan: Any) -> Any:
     """Makes a scan in memory an input of the library: a PLY file whose bytes are made on demand."""
     mesh = as_mesh(scan)
-    colors = mesh.colors
+    colors = None if mesh.colors is None else mesh.colors[:, :3]
     normals = mesh.normals if mesh.normal_faces is None or mesh.normal_faces is mesh.faces else None
     kind = getattr(getattr(scan, "visual", None), "kind", None)
     if kind == "face":
@@ -262,17 +285,18 @@ def _source(job: Job, scan: Any) -> Any:
     lines += [f"property uchar {k}" for k in ("red", "green", "blue") if colors is not None]
     lines += [f"element face {len(mesh.faces)}", "property list uchar uint vertex_indices",
               "end_header", ""]
-    header = job.keep(ffi.new("char[]", "\n".join(lines).encode()))
-    arrays = job.keep(ffi.new("struct arrays *", {
-        "header": header, "header_bytes": len(header) - 1,
-        "vertex_count": len(mesh.vertices), "face_count": len(mesh.faces),
-        "positions": _rows(job, mesh.vertices, ("f4", "f8"), "<f8"),
-        "normals": _rows(job, normals, ("f4",), "<f4"), "colors": _rows(job, colors, ("u1",), "u1"),
-        "faces": _rows(job, mesh.faces, ("i4", "u4", "i8", "u8"), "<i8"),
-        "position_bytes": 8 if wide else 4, "index_bytes": mesh.faces.itemsize}))
+    header = np.frombuffer("\n".join(lines).encode(), np.uint8)
+    rows = {"position": mesh.vertices, "normal": normals, "color": colors}
+    rows = {name: values for name, values in rows.items() if values is not None}
+    kinds = {"position": "<f8" if wide else "<f4", "normal": "<f4", "color": "u1"}
+    source = job.keep(_Source(job, [
+        (np.dtype([("byte", "u1")]), len(header), {"byte": header}),
+        (np.dtype([(name, kinds[name], 3) for name in rows]), len(mesh.vertices), rows),
+        (np.dtype([("corners", "u1"), ("indices", "<u4", 3)]), len(mesh.faces),
+         {"corners": 3, "indices": mesh.faces})]))
     return job.keep(ffi.new("struct bsq_source *", {
-        "size": ffi.sizeof("struct bsq_source"), "bytes": lib.arrays_size(arrays),
-        "read": ffi.addressof(lib, "arrays_read"), "user": arrays}))
+        "size": ffi.sizeof("struct bsq_source"), "bytes": source.bytes, "read": lib.on_read,
+        "user": job.keep(ffi.new_handle(source))}))
 
 
 def _written(job: Job, mesh: Mesh) -> tuple[str, str]:
@@ -727,6 +751,6 @@ def sample_image(path: str | os.PathLike, uvs: np.ndarray, *, data: bool, alpha:
     with Job(memory, threads) as job:
         uvs = np.ascontiguousarray(uvs, np.float32)
         found = np.empty((len(uvs), 3), np.float32)
-        job.run(lib.arrays_sample, job.string(path), data, alpha, 64 << 20, len(uvs),
+        job.run(lib.images_sample, job.string(path), data, alpha, 64 << 20, len(uvs),
                 ffi.cast("float (*)[2]", uvs.ctypes.data), ffi.cast("float (*)[3]", found.ctypes.data))
         return found
