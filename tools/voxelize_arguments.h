@@ -39,4 +39,7 @@ int voxelize_arguments_check_part(struct cli *cli, const struct voxelize_argumen
  * what materials can have. */
 void voxelize_arguments_add_channels(struct voxelize_arguments *arguments);
 
+/* Prints what is in files, for --info (voxelize_info.c). */
+int voxelize_info_print(struct cli *cli, const char *const *paths, uint32_t count);
+
 #endif

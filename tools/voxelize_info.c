@@ -2,7 +2,7 @@
  *
  * A mesh is read once, batch by batch, so memory does not grow with it. Materials that no face uses
  * are left out. */
-#include "tools/voxelize_report.h"
+#include "tools/voxelize_arguments.h"
 
 #include <float.h>
 #include <math.h>
