@@ -196,32 +196,21 @@ LANES_INLINE four_ints row_floor(struct row x)
 #endif
 }
 
-#ifdef __SSE4_1__
-
 LANES_INLINE four_ints four_min(four_ints a, four_ints b)
 {
-    return (four_ints)_mm_min_epi32((__m128i)a, (__m128i)b);
+    for (int i = 0; i < 4; i++)
+        a[i] = a[i] < b[i] ? a[i] : b[i];
+    return a;
 }
 
 LANES_INLINE bool four_any(four_ints mask)
 {
+#ifdef __SSE2__
     return _mm_movemask_epi8((__m128i)mask) != 0;
-}
-
 #else
-
-LANES_INLINE four_ints four_min(four_ints a, four_ints b)
-{
-    four_ints less = a < b;
-    return (less & a) | (~less & b);
-}
-
-LANES_INLINE bool four_any(four_ints mask)
-{
     return (mask[0] | mask[1] | mask[2] | mask[3]) != 0;
-}
-
 #endif
+}
 
 /* Returns a mask: bit i is set if from[i] is not 0. */
 LANES_INLINE uint32_t bits_of_sixteen(const uint32_t from[16])

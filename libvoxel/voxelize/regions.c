@@ -206,7 +206,10 @@ static int add_chunks(struct vox_run *run, const struct vox_unit *unit,
     int status = 0;
     for (uint64_t i = 0; i < unit->chunk_count && status == 0; i++) {
         uint32_t number = unit->chunks[i];
-        if (!vox_boxes_meet(&run->bounds[number], window))
+        const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(run->file)[number];
+        const struct vox_box bounds =
+            vox_transform_box(&run->transform, info->bounds_min, info->bounds_max);
+        if (!vox_boxes_meet(&bounds, window))
             continue;
         BSQ_PASS(bsq_check(run->ctx));
         BSQ_PASS(vox_chunks_acquire(run->chunks, number, &chunk_sums.chunk));

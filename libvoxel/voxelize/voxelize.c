@@ -165,19 +165,6 @@ static int check_grid(struct vox_run *run)
     return status;
 }
 
-/* Finds the boxes of chunks in the regions that they touch. */
-static int voxelize_find_boxes(struct vox_run *run)
-{
-    uint64_t count = run->header->chunk_count;
-    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(run->file);
-    BSQ_PASS(BSQ_ALLOC(run->ctx, "chunk bounds", count, &run->bounds));
-    for (uint64_t i = 0; i < count; i++)
-        run->bounds[i] =
-            vox_transform_box(&run->transform, infos[i].bounds_min, infos[i].bounds_max);
-    return vox_chunk_boxes_create(run->ctx, run->file, &run->transform, run->bounds,
-                                  bsq_memory_left(run->ctx) / 16, &run->boxes, &run->box_count);
-}
-
 /* Replaces the file by a temporary one with other normals. */
 static int replace_normals(struct vox_run *run, enum bsq_scan_normals wanted)
 {
@@ -222,7 +209,8 @@ static int open_run(struct vox_run *run)
 {
     BSQ_PASS(open_input(run));
     BSQ_PASS(voxelize_choose_normals(run));
-    BSQ_PASS(voxelize_find_boxes(run));
+    BSQ_PASS(vox_chunk_boxes_create(run->ctx, run->file, &run->transform,
+                                    bsq_memory_left(run->ctx) / 16, &run->boxes, &run->box_count));
     return check_grid(run);
 }
 
@@ -460,7 +448,7 @@ int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options
     status = commit_grid(&run, report);
 done:
     fmt_nvdb_discard(run.writer);
-    BSQ_FREE(ctx, run.boxes, run.channels, run.bounds);
+    BSQ_FREE(ctx, run.boxes, run.channels);
     fmt_tris_close(run.file);
     report->seconds = bsq_seconds_now() - start;
     return status;

@@ -48,7 +48,6 @@ struct vox_run {
     const struct fmt_tris_header *header;
     char *channels; /* that the grid gets, as the options have them; NULL: none; owned */
     struct vox_transform transform;
-    struct vox_box *bounds;      /* voxels of each chunk's bounds */
     struct vox_chunk_box *boxes; /* of all chunks */
     uint64_t box_count;
 

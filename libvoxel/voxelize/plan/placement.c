@@ -155,9 +155,10 @@ static int placement_add_run(struct maker *maker, uint32_t number,
 }
 
 int vox_chunk_boxes_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
-                           const struct vox_transform *transform, const struct vox_box *bounds,
-                           uint64_t bytes, struct vox_chunk_box **boxes, uint64_t *count)
+                           const struct vox_transform *transform, uint64_t bytes,
+                           struct vox_chunk_box **boxes, uint64_t *count)
 {
+    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(file);
     uint64_t chunks = fmt_tris_get_header(file)->chunk_count;
     struct maker maker = {.ctx = ctx,
                           .transform = transform,
@@ -166,14 +167,16 @@ int vox_chunk_boxes_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file
     int status = 0;
     for (uint64_t i = 0; i < chunks && status == 0; i++) {
         struct fmt_tris_chunk chunk;
-        bool wide = maker.count + (chunks - i) < maker.most && is_wide(&bounds[i]);
+        const struct vox_box bounds =
+            vox_transform_box(transform, infos[i].bounds_min, infos[i].bounds_max);
+        bool wide = maker.count + (chunks - i) < maker.most && is_wide(&bounds);
         if (wide && !scratch)
             status = bsq_alloc(ctx, "chunk boxes", fmt_tris_load_size_max(file), 1, &scratch);
         if (wide && status == 0 && (status = bsq_check(ctx)) == 0)
             status = fmt_tris_load(file, i, scratch, &chunk);
         if (status == 0)
             status = wide ? placement_add_run(&maker, (uint32_t)i, &chunk, 0, chunk.triangle_count)
-                          : placement_add_box(&maker, (uint32_t)i, &bounds[i]);
+                          : placement_add_box(&maker, (uint32_t)i, &bounds);
     }
     bsq_free(ctx, scratch);
     if (status < 0)

@@ -71,13 +71,12 @@ struct vox_chunk_box {
     uint32_t chunk;
 };
 
-/* Creates the boxes of chunks in ascending order of chunks; free them with bsq_free(). bounds: the
- * voxels of each chunk's bounds. Chunks that reach across many regions are read and cut into boxes
- * that do not, or that hold one triangle. The boxes and their schedule take at most `bytes`, unless
- * one box a chunk needs more. */
+/* Creates the boxes of chunks in ascending order of chunks; free them with bsq_free(). Chunks that
+ * reach across many regions are read and cut into boxes that do not, or that hold one triangle. The
+ * boxes and their schedule take at most `bytes`, unless one box a chunk needs more. */
 int vox_chunk_boxes_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
-                           const struct vox_transform *transform, const struct vox_box *bounds,
-                           uint64_t bytes, struct vox_chunk_box **boxes, uint64_t *count);
+                           const struct vox_transform *transform, uint64_t bytes,
+                           struct vox_chunk_box **boxes, uint64_t *count);
 
 /* ---- the schedule ----
  *

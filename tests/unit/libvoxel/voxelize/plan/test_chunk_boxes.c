@@ -81,8 +81,8 @@ static void make_boxes(const struct vox_fixture *f, double voxel_size, uint64_t 
     for (uint64_t i = 0; i < header->chunk_count; i++)
         made->bounds[i] =
             vox_transform_box(&made->transform, infos[i].bounds_min, infos[i].bounds_max);
-    assert_int_equal(vox_chunk_boxes_create(f->ctx, made->file, &made->transform, made->bounds,
-                                            bytes, &made->boxes, &made->count),
+    assert_int_equal(vox_chunk_boxes_create(f->ctx, made->file, &made->transform, bytes,
+                                            &made->boxes, &made->count),
                      0);
 }
 
