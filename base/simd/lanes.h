@@ -118,18 +118,6 @@ LANES_INLINE doubles lanes_keep(lane_mask mask, doubles x)
     return (doubles)(mask & (lane_ints)x);
 }
 
-/* Returns x | bits in lanes whose mask is set, x in the others. */
-LANES_INLINE lane_ints lanes_set_bits(lane_mask mask, lane_ints x, lane_ints bits)
-{
-    return x | (mask & bits);
-}
-
-/* Returns x + y in lanes whose mask is set, x in the others. */
-LANES_INLINE lane_ints lanes_add_ints(lane_mask mask, lane_ints x, lane_ints y)
-{
-    return x + (mask & y);
-}
-
 /* Returns bit i for lane i of the mask. */
 LANES_INLINE unsigned lanes_bits(lane_mask mask)
 {
@@ -180,16 +168,6 @@ LANES_INLINE doubles lanes_keep(lane_mask mask, doubles x)
     return _mm512_maskz_mov_pd(mask, x);
 }
 
-LANES_INLINE lane_ints lanes_set_bits(lane_mask mask, lane_ints x, lane_ints bits)
-{
-    return (lane_ints)_mm512_mask_or_epi64((__m512i)x, mask, (__m512i)x, (__m512i)bits);
-}
-
-LANES_INLINE lane_ints lanes_add_ints(lane_mask mask, lane_ints x, lane_ints y)
-{
-    return (lane_ints)_mm512_mask_add_epi64((__m512i)x, mask, (__m512i)x, (__m512i)y);
-}
-
 LANES_INLINE doubles lanes_select(lane_mask mask, doubles yes, doubles no)
 {
     return _mm512_mask_mov_pd(no, mask, yes);
@@ -210,6 +188,18 @@ LANES_INLINE doubles lanes_pack(lane_mask mask, doubles x)
 #endif
 
 /* ---- all instruction sets ---- */
+
+/* Returns x | bits in lanes whose mask is set, x in the others. */
+LANES_INLINE lane_ints lanes_set_bits(lane_mask mask, lane_ints x, lane_ints bits)
+{
+    return x | (lane_ints)lanes_keep(mask, (doubles)bits);
+}
+
+/* Returns x + y in lanes whose mask is set, x in the others. */
+LANES_INLINE lane_ints lanes_add_ints(lane_mask mask, lane_ints x, lane_ints y)
+{
+    return x + (lane_ints)lanes_keep(mask, (doubles)y);
+}
 
 /* Returns a < b ? a : b for each lane; lanes_max(): a > b ? a : b. */
 LANES_INLINE doubles lanes_min(doubles a, doubles b)
