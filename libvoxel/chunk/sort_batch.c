@@ -114,6 +114,9 @@ static inline bool area_is_zero(const float *a, const float *b, const float *c)
     return u[1] * v[2] == u[2] * v[1] && u[2] * v[0] == u[0] * v[2] && u[0] * v[1] == u[1] * v[0];
 }
 
+/* Positions are prefetched this many tuples ahead. */
+#define CORNERS_AHEAD 16u
+
 /* Makes entries for the tuples with an area and returns their count. Inlined, so that widths and
  * offsets of a constant layout are constants. */
 static inline __attribute__((always_inline)) uint32_t
@@ -127,6 +130,12 @@ batch_make_entries(const struct batch *b, const struct tuple_layout *layout, con
     for (uint32_t i = 0; i < count; i++) {
         const uint8_t *tuple = tuples + (uint64_t)i * layout->bytes;
         const float *p[3];
+        for (uint32_t k = 0; k < 3 && i + CORNERS_AHEAD < count; k++)
+            __builtin_prefetch(
+                stream_at(&positions,
+                          tuple_vertex_index(layout, tuple + CORNERS_AHEAD * layout->bytes +
+                                                         k * layout->corner_bytes),
+                          12));
         for (uint32_t k = 0; k < 3; k++)
             p[k] = stream_at(&positions,
                              tuple_vertex_index(layout, tuple + k * layout->corner_bytes), 12);

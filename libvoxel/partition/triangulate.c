@@ -411,6 +411,8 @@ static bool code_triangles(struct triangulator *t, const struct faces *faces)
     t->triangles = 0;
     t->run_count = 0;
     for (uint64_t i = 0; i < triangles; i++, v += 3) {
+        if (!known && i + TRIANGLES_AHEAD < triangles)
+            __builtin_prefetch(stream_at(&positions, v[3 * TRIANGLES_AHEAD], 12));
         uint32_t number = known ? vertex_bucket(&buckets, v[0])
                                 : morton_cell(&cube, levels, stream_at(&positions, v[0], 12));
         bool first = number != bucket || w.run.triangles == RUN_TRIANGLES;
