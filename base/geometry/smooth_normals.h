@@ -9,8 +9,9 @@
  * and in one order of triangles give the same bits however a scan is cut into chunks.
  *
  * A one-ring's sums are BSQ_RING_ROWS rows of four doubles: the weighted normals and the weights;
- * the normals and the number of triangles; and the moment, which is three times the weight times
- * the distance of the triangle's centroid from the vertex, and an unused number. */
+ * and the moment, which is three times the weight times the distance of the triangle's centroid
+ * from the vertex, and an unused number. Beside them are four floats: the unit normals and the
+ * number of triangles. */
 #ifndef BSQ_SMOOTH_NORMALS_H
 #define BSQ_SMOOTH_NORMALS_H
 
@@ -29,8 +30,10 @@
  * two sheets of any weights, with a fold below this, none is a crease. */
 #define BSQ_FACET_COSINE 0.70710678118654752
 /* Least sum of the squared distances of unit normals from their mean if two of them are more than
- * 45 degrees apart. */
-#define BSQ_CREASE_SPREAD 0.2928
+ * 45 degrees apart; and what the rounding of floats may take from it, by the square of the number
+ * of normals. */
+#define BSQ_CREASE_SPREAD   0.2928f
+#define BSQ_SPREAD_ROUNDING 4e-7f
 /* Share of a one-ring's spread that both sides of a crease have at most: what the lengths of their
  * sums lack of their weights, beside the same of the sum of both. Noise has more. */
 #define BSQ_SIDES_SHARE 0.03
@@ -41,20 +44,31 @@
 #define BSQ_PI 3.14159265358979323846
 
 /* Rows of a one-ring's sums. */
-enum { BSQ_RING_ROWS = 3 };
+enum { BSQ_RING_ROWS = 2 };
+
+/* Returns the area vector of a triangle, doubled, and 0. The corners' fourth numbers must be equal.
+ */
+LANES_INLINE struct row bsq_doubled_vector(const struct row corner[3])
+{
+    const struct row a = row_difference(corner[1], corner[0]);
+    const struct row b = row_difference(corner[2], corner[0]);
+    /* The cross product, rotated once. */
+    return row_rotate(row_difference(row_product(a, row_rotate(b)), row_product(row_rotate(a), b)));
+}
+
+/* Returns the sum of the squares of the first three numbers. */
+LANES_INLINE double bsq_row_square(struct row x)
+{
+    const struct row squares = row_product(x, x);
+    return row_number(squares, 0) + row_number(squares, 1) + row_number(squares, 2);
+}
 
 /* Returns the area vector and the area of a triangle, both doubled. The corners' fourth numbers
  * must be equal. */
 LANES_INLINE struct row bsq_area_vector(const struct row corner[3])
 {
-    const struct row a = row_difference(corner[1], corner[0]);
-    const struct row b = row_difference(corner[2], corner[0]);
-    /* The cross product, rotated once. */
-    struct row vector =
-        row_rotate(row_difference(row_product(a, row_rotate(b)), row_product(row_rotate(a), b)));
-    struct row squares = row_product(vector, vector);
-    double length = sqrt(row_number(squares, 0) + row_number(squares, 1) + row_number(squares, 2));
-    return row_with_last(vector, length);
+    const struct row vector = bsq_doubled_vector(corner);
+    return row_with_last(vector, sqrt(bsq_row_square(vector)));
 }
 
 /* Returns the angles whose opposite and adjacent sides in a right triangle have the ratio
@@ -106,12 +120,12 @@ LANES_INLINE struct row bsq_corner_factors(const struct row corner[3], double do
                      bsq_angles(doubled_area, row_of(along[0], along[1], along[2], 0.0)));
 }
 
-/* Adds a triangle to the moment of the one-ring of its corner i. */
-LANES_INLINE void bsq_add_moment(const struct row corner[3], int i, double weight, double moment[4])
+/* Returns three times the distance of a triangle's centroid from its corner i. */
+LANES_INLINE struct row bsq_centroid_of(const struct row corner[3], int i)
 {
-    struct row next = row_difference(corner[(i + 1) % 3], corner[i]);
-    struct row previous = row_difference(corner[i], corner[(i + 2) % 3]);
-    row_add(moment, row_times(weight, row_difference(next, previous)));
+    const struct row next = row_difference(corner[(i + 1) % 3], corner[i]);
+    const struct row previous = row_difference(corner[i], corner[(i + 2) % 3]);
+    return row_difference(next, previous);
 }
 
 /* Returns the unit normal of an area vector and 1; zeros without an area. */
@@ -121,49 +135,88 @@ LANES_INLINE struct row bsq_unit_normal(struct row area)
     return row_times(length > 0 ? 1.0 / length : 0.0, area);
 }
 
-/* Adds the triangles from `begin` to `end` to the sums of their corners' one-rings. ring_of: the
- * number of each vertex's one-ring. The sums of number 0 are not meant to be used; triangles whose
- * corners all have number 0 are skipped. weights: a constant, not BSQ_SCAN_NORMALS_FLAT.
- * One-ring n begins at sums[n * BSQ_RING_ROWS]. */
-LANES_INLINE void bsq_add_rings_weighted(const float (*positions)[3],
-                                         const uint32_t (*triangles)[3], uint32_t begin,
-                                         uint32_t end, const uint32_t *ring_of,
-                                         enum bsq_scan_normals weights, double (*sums)[4])
+/* Reads the corners of a triangle. */
+LANES_INLINE void bsq_corners_of(const float (*positions)[3], const uint32_t v[3],
+                                 struct row corner[3])
 {
-    for (uint32_t t = begin; t < end; t++) {
-        const uint32_t *v = triangles[t];
+    for (int i = 0; i < 3; i++)
+        corner[i] = row_of_floats(positions[v[i]]);
+}
+
+/* Triangles that are summed together: each step for all of them, so that a processor has many of
+ * their square roots and divisions under way. */
+enum { BSQ_FACETS = 32 };
+struct bsq_facets {
+    double vectors[BSQ_FACETS][4], centroids[BSQ_FACETS][3][4];
+    double areas[BSQ_FACETS], inverses[BSQ_FACETS]; /* doubled; 0 without an area */
+} __attribute__((aligned(64)));
+
+LANES_INLINE void bsq_facets_of(const float (*positions)[3], const uint32_t (*triangles)[3],
+                                uint32_t count, struct bsq_facets *out)
+{
+    for (uint32_t t = 0; t < count; t++) {
         struct row corner[3];
-        if ((ring_of[v[0]] | ring_of[v[1]] | ring_of[v[2]]) == 0)
-            continue;
+        bsq_corners_of(positions, triangles[t], corner);
+        const struct row vector = bsq_doubled_vector(corner);
+        row_store(vector, out->vectors[t]);
+        out->areas[t] = bsq_row_square(vector);
         for (int i = 0; i < 3; i++)
-            corner[i] = row_of_floats(positions[v[i]]);
-        const struct row area = bsq_area_vector(corner), unit = bsq_unit_normal(area);
-        const struct row factors = bsq_corner_factors(corner, row_number(area, 3), weights);
+            row_store(bsq_centroid_of(corner, i), out->centroids[t][i]);
+    }
+    for (uint32_t t = 0; t < count; t += LANE_COUNT) {
+        const doubles area = lanes_sqrt(lanes_load(&out->areas[t]));
+        lanes_store(area, &out->areas[t]);
+        lanes_store(lanes_keep(lanes_less(lanes_all(0.0), area), 1.0 / area), &out->inverses[t]);
+    }
+}
+
+/* Adds `count` triangles to the sums of the one-rings at their corners, whose numbers are `rings`.
+ * weights: a constant, not BSQ_SCAN_NORMALS_FLAT. One-ring n begins at sums[n * BSQ_RING_ROWS]. */
+LANES_INLINE void bsq_add_rings_weighted(const float (*positions)[3],
+                                         const uint32_t (*triangles)[3], const uint32_t (*rings)[3],
+                                         uint32_t count, enum bsq_scan_normals weights,
+                                         double (*sums)[4], float (*units)[4])
+{
+    struct bsq_facets facets = {.areas = {0}};
+    for (uint32_t t = 0; t < count; t++) {
+        const uint32_t at = t % BSQ_FACETS;
+        struct row factors, corner[3];
+        if (at == 0)
+            bsq_facets_of(positions, &triangles[t], count - t < BSQ_FACETS ? count - t : BSQ_FACETS,
+                          &facets);
+        const struct row area = row_with_last(row_load(facets.vectors[at]), facets.areas[at]);
+        const four_floats unit = row_floats(row_times(facets.inverses[at], area));
+        if (weights != BSQ_SCAN_NORMALS_AREA) {
+            bsq_corners_of(positions, triangles[t], corner);
+            factors = bsq_corner_factors(corner, facets.areas[at], weights);
+        }
         for (int i = 0; i < 3; i++) {
-            double(*ring)[4] = &sums[(uint64_t)ring_of[v[i]] * BSQ_RING_ROWS];
+            const uint64_t ring = rings[t][i];
+            double(*to)[4] = &sums[ring * BSQ_RING_ROWS];
             const struct row normal =
                 weights == BSQ_SCAN_NORMALS_AREA ? area : row_times(row_number(factors, i), area);
-            row_add(ring[0], normal);
-            row_add(ring[1], unit);
-            bsq_add_moment(corner, i, row_number(normal, 3), ring[BSQ_RING_ROWS - 1]);
+            row_add(to[0], normal);
+            row_add(to[1], row_times(row_number(normal, 3), row_load(facets.centroids[at][i])));
+            four_floats_add(units[ring], unit);
         }
     }
 }
 
 /* Does the same with weights that need not be constant. */
 LANES_INLINE void bsq_add_one_rings(const float (*positions)[3], const uint32_t (*triangles)[3],
-                                    uint32_t begin, uint32_t end, const uint32_t *ring_of,
-                                    enum bsq_scan_normals weights, double (*sums)[4])
+                                    const uint32_t (*rings)[3], uint32_t count,
+                                    enum bsq_scan_normals weights, double (*sums)[4],
+                                    float (*units)[4])
 {
     if (weights == BSQ_SCAN_NORMALS_AREA)
-        bsq_add_rings_weighted(positions, triangles, begin, end, ring_of, BSQ_SCAN_NORMALS_AREA,
-                               sums);
+        bsq_add_rings_weighted(positions, triangles, rings, count, BSQ_SCAN_NORMALS_AREA, sums,
+                               units);
     else if (weights == BSQ_SCAN_NORMALS_MAX)
-        bsq_add_rings_weighted(positions, triangles, begin, end, ring_of, BSQ_SCAN_NORMALS_MAX,
-                               sums);
+        bsq_add_rings_weighted(positions, triangles, rings, count, BSQ_SCAN_NORMALS_MAX, sums,
+                               units);
     else
-        bsq_add_rings_weighted(positions, triangles, begin, end, ring_of, BSQ_SCAN_NORMALS_ANGLE,
-                               sums);
+        bsq_add_rings_weighted(positions, triangles, rings, count, BSQ_SCAN_NORMALS_ANGLE, sums,
+                               units);
 }
 
 /* Returns whether one normal stands for triangles. length: of their summed normals; weight: their
@@ -180,8 +233,8 @@ static inline bool bsq_is_smooth(double length, double weight)
  * which one-rings fold: the others get number 0. bsq_add_sides() adds all triangles again, to
  * `firsts` and `seconds` at the number of the crease, and bsq_is_crease() decides. Sides are
  * weighted by angle, whatever the weights of the sums: where a surface ends, areas depend on how
- * its last quads are cut. For the covariance of the whole one-ring, row 1 of `firsts` sums its
- * weighted normals times their x, and row 1 of `seconds` times their y.
+ * its last quads are cut. For the covariance of the whole one-ring, the rows of `spreads` sum its
+ * weighted normals times their x, and times their y.
  *
  * A crease begins as {0, 0, 0, INFINITY}. It becomes the unit normal of the triangle farthest from
  * the summed normal, and its dot product with that; then a direction of the second side's
@@ -194,38 +247,38 @@ static inline double bsq_row_dot(const double a[4], const double b[4])
 
 /* Returns whether two triangles may be more than 45 degrees apart. units: sums of unit normals, and
  * their number. */
-static inline bool bsq_may_fold(const double units[4])
+static inline bool bsq_may_fold(const float units[4])
 {
-    return bsq_row_dot(units, units) < (units[3] - BSQ_CREASE_SPREAD) * units[3];
+    const float x = units[0], y = units[1], z = units[2], count = units[3],
+                spread = BSQ_CREASE_SPREAD - BSQ_SPREAD_ROUNDING * count * count;
+    return x * x + y * y + z * z < (count - spread) * count;
 }
 
 /* Reads the corners of a triangle. Returns false if none of them is at a crease. */
 LANES_INLINE bool bsq_crease_corners(const float (*positions)[3], const uint32_t v[3],
-                                     const uint32_t *ring_of, const uint32_t *crease_of,
+                                     const uint32_t rings[3], const uint32_t *crease_of,
                                      struct row corner[3])
 {
-    if ((crease_of[ring_of[v[0]]] | crease_of[ring_of[v[1]]] | crease_of[ring_of[v[2]]]) == 0)
+    if ((crease_of[rings[0]] | crease_of[rings[1]] | crease_of[rings[2]]) == 0)
         return false;
-    for (int i = 0; i < 3; i++)
-        corner[i] = row_of_floats(positions[v[i]]);
+    bsq_corners_of(positions, v, corner);
     return true;
 }
 
-/* Finds the farthest triangles among those from `begin` to `end`. */
+/* Finds the farthest triangles among the first `count`. */
 LANES_INLINE void bsq_find_farthest(const float (*positions)[3], const uint32_t (*triangles)[3],
-                                    uint32_t begin, uint32_t end, const uint32_t *ring_of,
+                                    const uint32_t (*rings)[3], uint32_t count,
                                     const uint32_t *crease_of, const double (*sums)[4],
                                     double (*creases)[4])
 {
-    for (uint32_t t = begin; t < end; t++) {
-        const uint32_t *v = triangles[t];
+    for (uint32_t t = 0; t < count; t++) {
         struct row corner[3];
         double normal[4];
-        if (!bsq_crease_corners(positions, v, ring_of, crease_of, corner))
+        if (!bsq_crease_corners(positions, triangles[t], rings[t], crease_of, corner))
             continue;
         row_store(bsq_unit_normal(bsq_area_vector(corner)), normal);
         for (int i = 0; i < 3 && normal[3] > 0; i++) {
-            const uint32_t ring = ring_of[v[i]];
+            const uint32_t ring = rings[t][i];
             double *crease = creases[crease_of[ring]];
             const double dot = bsq_row_dot(normal, sums[(uint64_t)ring * BSQ_RING_ROWS]);
             if (crease_of[ring] == 0 || dot >= crease[3])
@@ -253,33 +306,32 @@ static inline bool bsq_divide_ring(const double total[4], double crease[4])
     return true;
 }
 
-/* Adds the triangles from `begin` to `end` to the sides of creases. */
+/* Adds the first `count` triangles to the sides of creases. */
 LANES_INLINE void bsq_add_sides(const float (*positions)[3], const uint32_t (*triangles)[3],
-                                uint32_t begin, uint32_t end, const uint32_t *ring_of,
+                                const uint32_t (*rings)[3], uint32_t count,
                                 const uint32_t *crease_of, const double (*creases)[4],
-                                double (*firsts)[4], double (*seconds)[4])
+                                double (*firsts)[4], double (*seconds)[4], double (*spreads)[4])
 {
-    for (uint32_t t = begin; t < end; t++) {
-        const uint32_t *v = triangles[t];
+    for (uint32_t t = 0; t < count; t++) {
         struct row corner[3];
         double normal[4];
-        if (!bsq_crease_corners(positions, v, ring_of, crease_of, corner))
+        if (!bsq_crease_corners(positions, triangles[t], rings[t], crease_of, corner))
             continue;
         const struct row area = bsq_area_vector(corner), unit = bsq_unit_normal(area);
         const struct row factors =
             bsq_corner_factors(corner, row_number(area, 3), BSQ_SCAN_NORMALS_ANGLE);
         row_store(area, normal);
         for (int i = 0; i < 3; i++) {
-            const uint64_t crease = crease_of[ring_of[v[i]]], at = crease * BSQ_RING_ROWS;
+            const uint64_t crease = crease_of[rings[t][i]], at = crease * BSQ_RING_ROWS;
             const struct row weighted = row_times(row_number(factors, i), area);
             if (crease == 0)
                 continue;
             double(*side)[4] =
                 bsq_row_dot(normal, creases[crease]) > 0 ? &seconds[at] : &firsts[at];
             row_add(side[0], weighted);
-            row_add(firsts[at + 1], row_times(row_number(weighted, 0), unit));
-            row_add(seconds[at + 1], row_times(row_number(weighted, 1), unit));
-            bsq_add_moment(corner, i, row_number(weighted, 3), side[BSQ_RING_ROWS - 1]);
+            row_add(side[1], row_times(row_number(weighted, 3), bsq_centroid_of(corner, i)));
+            row_add(spreads[at], row_times(row_number(weighted, 0), unit));
+            row_add(spreads[at + 1], row_times(row_number(weighted, 1), unit));
         }
     }
 }
@@ -287,9 +339,9 @@ LANES_INLINE void bsq_add_sides(const float (*positions)[3], const uint32_t (*tr
 /* Decides whether a divided one-ring is a crease: the normals of each side are close to each other
  * beside the fold, or all normals are close to a plane, as three directions are, and those of a
  * cylinder's rim. The normals of noise scatter in all directions. */
-static inline bool bsq_is_crease(const double (*first)[4], const double (*second)[4])
+static inline bool bsq_is_crease(const double a[4], const double b[4], const double (*spreads)[4])
 {
-    const double *a = first[0], *b = second[0], *x = first[1], *y = second[1];
+    const double *x = spreads[0], *y = spreads[1];
     const double weight = a[3] + b[3],
                  mean[4] = {(a[0] + b[0]) / weight, (a[1] + b[1]) / weight, (a[2] + b[2]) / weight};
     const double within = weight - sqrt(bsq_row_dot(a, a)) - sqrt(bsq_row_dot(b, b));

@@ -117,6 +117,23 @@ LANES_INLINE four_floats four_floats_load(const float *from)
     return *(const four_floats_in_memory *)from;
 }
 
+/* Adds x to the four floats at `to`. */
+LANES_INLINE void four_floats_add(float *to, four_floats x)
+{
+    *(four_floats_in_memory *)to = four_floats_load(to) + x;
+}
+
+/* Rounds to floats. */
+LANES_INLINE four_floats row_floats(struct row x)
+{
+#ifdef __AVX2__
+    return _mm256_cvtpd_ps(x.vector[0]);
+#else
+    return (four_floats){(float)x.vector[0][0], (float)x.vector[0][1], (float)x.vector[1][0],
+                         (float)x.vector[1][1]};
+#endif
+}
+
 /* Returns a < b ? a : b for each number; four_floats_max(): a > b ? a : b. */
 LANES_INLINE four_floats four_floats_min(four_floats a, four_floats b)
 {
@@ -163,7 +180,11 @@ LANES_INLINE struct row row_with(struct row x, int i, double number)
 /* Returns x with its fourth number replaced. */
 LANES_INLINE struct row row_with_last(struct row x, double last)
 {
+#ifdef __AVX2__
+    return (struct row){{_mm256_blend_pd(x.vector[0], _mm256_set1_pd(last), 8)}};
+#else
     return row_with(x, 3, last);
+#endif
 }
 
 /* Returns number i. */

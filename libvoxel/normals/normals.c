@@ -167,6 +167,26 @@ static int normals_make_buckets(struct normals_run *run, const char *beside)
                           pages / 4);
 }
 
+/* Returns a random number (the finishing steps of MurmurHash3, Appleby 2011). */
+static uint64_t ring_number(uint64_t ring)
+{
+    ring *= UINT64_C(0x9e3779b97f4a7c15);
+    ring = (ring ^ ring >> 33) * UINT64_C(0xff51afd7ed558ccd);
+    return ring ^ ring >> 33;
+}
+
+static int number_rings(struct normals_run *run)
+{
+    const uint32_t rings = (run->vertices > NORMALS_RINGS ? run->vertices : NORMALS_RINGS) + 1;
+    BSQ_PASS(BSQ_ALLOC(run->ctx, "normals", rings, &run->own_rings));
+    BSQ_PASS(BSQ_ALLOC(run->ctx, "normals", rings, &run->numbers));
+    for (uint32_t i = 0; i < rings; i++) {
+        run->own_rings[i] = i;
+        run->numbers[i] = ring_number(i);
+    }
+    return 0;
+}
+
 /* Fills a section with the normals of the chunks of its file. */
 static int fill_section(struct normals_run *run, const char *beside)
 {
@@ -177,10 +197,12 @@ static int fill_section(struct normals_run *run, const char *beside)
         return 0;
     bsq_progress_begin(run->ctx, "normals", "chunks", 2 * run->chunk_count);
     BSQ_TRY(normals_make_buckets(run, beside));
+    BSQ_TRY(number_rings(run));
     BSQ_TRY(vox_normals_visit_chunks(run));
     BSQ_TRY(vox_normals_join_corners(run));
     status = complete_chunks(run);
 done:
+    BSQ_FREE(run->ctx, run->own_rings, run->numbers);
     bsq_spill_free(&run->corners);
     bsq_spill_free(&run->answers);
     bsq_progress_end(run->ctx);

@@ -20,66 +20,52 @@ struct ring_slot {
     struct fmt_tris_chunk tris;
     struct bsq_positions table; /* of vertices */
     struct vox_rings rings;
-    uint32_t *ring_of; /* by vertex; a one-ring has the number of its first vertex, plus 1 */
-    uint32_t *open_triangles, open_count;
-    uint64_t *random;     /* by one-ring: constant numbers */
-    uint64_t *neighbours; /* by one-ring: sums of differences of random numbers */
-    uint8_t *open;        /* by vertex: OPEN, then ASKED */
+    const uint32_t *ring_of;        /* by vertex: its one-ring has the number of its first vertex */
+    const uint32_t (*triangles)[3]; /* their one-rings, which are vertices too */
+    uint32_t *welded, (*welded_triangles)[3]; /* memory for these */
+    uint64_t *neighbours;                     /* by one-ring: sums of differences of numbers */
+    uint8_t *flags;                           /* by one-ring: VOX_RING_* */
+    bool *asked;                              /* by vertex: its normal was asked for */
+    uint32_t *open;                           /* triangles at open vertices */
+    uint32_t (*folds)[3]; /* one-rings of those at vertices that may be creases */
+    uint32_t open_count, fold_count;
     uint64_t *normals;
-    uint32_t *numbers;               /* 1, 2, 3 ... CREASES */
-    uint64_t *seconds;               /* of the creases that are divided at a time */
-    uint64_t *found;                 /* second sides of all creases of the chunk */
-    uint32_t *found_of, found_count; /* by one-ring: number in `found`, plus 1 */
+    uint64_t *firsts, *seconds; /* of the creases that are divided at a time */
     void *scratch;
 };
-enum { OPEN = 1, ASKED = 2 };
 
 /* ---- memory ---- */
 
 /* Places the arrays of a slot in memory, and returns their bytes. memory: NULL to only count. */
 static uint64_t slot_lay_out(const struct normals_run *run, uint8_t *memory, struct ring_slot *s)
 {
-    const uint64_t vertices = run->vertices, rings = vertices + 1, creases = CREASES + 1;
-    const uint64_t most = vertices > run->triangles ? vertices : run->triangles;
+    const uint64_t vertices = run->vertices, creases = CREASES + 1;
     uint64_t at = 0;
-    s->rings.sums = normals_place(memory, &at, rings * BSQ_RING_ROWS, sizeof *s->rings.sums);
-    s->rings.firsts = normals_place(memory, &at, creases * BSQ_RING_ROWS, sizeof *s->rings.firsts);
-    s->rings.seconds =
-        normals_place(memory, &at, creases * BSQ_RING_ROWS, sizeof *s->rings.seconds);
-    s->rings.creases = normals_place(memory, &at, creases, sizeof *s->rings.creases);
-    s->rings.crease_of = normals_place(memory, &at, rings, sizeof *s->rings.crease_of);
+    normals_place_rings(memory, &at, vertices, creases, &s->rings);
     s->table.cells =
         normals_place(memory, &at, bsq_positions_cells(run->vertices), sizeof *s->table.cells);
-    s->ring_of = normals_place(memory, &at, vertices, sizeof *s->ring_of);
-    s->open_triangles = normals_place(memory, &at, most, sizeof *s->open_triangles);
-    s->random = normals_place(memory, &at, rings, sizeof *s->random);
-    s->neighbours = normals_place(memory, &at, rings, sizeof *s->neighbours);
-    s->open = normals_place(memory, &at, vertices, sizeof *s->open);
+    s->welded = normals_place(memory, &at, vertices, sizeof *s->welded);
+    s->welded_triangles = normals_place(memory, &at, run->triangles, sizeof *s->welded_triangles);
+    s->neighbours = normals_place(memory, &at, vertices, sizeof *s->neighbours);
+    s->flags = normals_place(memory, &at, vertices, sizeof *s->flags);
+    s->asked = normals_place(memory, &at, vertices, sizeof *s->asked);
+    s->open = normals_place(memory, &at, run->triangles, sizeof *s->open);
+    s->folds = normals_place(memory, &at, run->triangles, sizeof *s->folds);
     s->normals = normals_place(memory, &at, vertices, sizeof *s->normals);
-    s->numbers = normals_place(memory, &at, CREASES, sizeof *s->numbers);
+    s->firsts = normals_place(memory, &at, CREASES, sizeof *s->firsts);
     s->seconds = normals_place(memory, &at, CREASES, sizeof *s->seconds);
-    s->found = normals_place(memory, &at, vertices, sizeof *s->found);
-    s->found_of = normals_place(memory, &at, rings, sizeof *s->found_of);
     s->scratch = normals_place(memory, &at, fmt_tris_load_size_max(run->file), 1);
     return at;
 }
 
 /* ---- one-rings ---- */
 
-/* Gives each vertex a one-ring of its own. Without attributes, vertices of a chunk are at different
- * positions; if two were not, both would be open, and be joined by position. */
-static void number_vertices(struct ring_slot *s)
-{
-    for (uint32_t v = 0; v < s->tris.vertex_count; v++)
-        s->ring_of[v] = v + 1;
-}
-
 /* Finds vertices at the same position. Most vertices find their cell of the table free, which
  * processors cannot predict. So the others are put off without a branch, and looked up after all
  * first ones have cells. */
 static void weld_vertices(struct ring_slot *s)
 {
-    uint32_t *late = s->open_triangles, late_count = 0;
+    uint32_t *late = s->rings.crease_of, late_count = 0;
     const uint32_t count = s->tris.vertex_count;
     s->table.positions = s->tris.positions;
     s->table.mask = bsq_positions_cells(count) - 1;
@@ -88,7 +74,7 @@ static void weld_vertices(struct ring_slot *s)
         uint32_t *cell = &s->table.cells[bsq_position_hash(s->tris.positions[v]) & s->table.mask];
         const uint32_t taken = *cell != 0;
         *cell = taken ? *cell : v + 1;
-        s->ring_of[v] = v + 1;
+        s->welded[v] = v;
         late[late_count] = v;
         late_count += taken;
     }
@@ -97,85 +83,98 @@ static void weld_vertices(struct ring_slot *s)
         uint32_t *cell = bsq_positions_find(&s->table, s->tris.positions[v]);
         if (*cell == 0)
             *cell = v + 1;
-        s->ring_of[v] = *cell;
+        s->welded[v] = *cell - 1;
     }
+    for (uint32_t t = 0; t < s->tris.triangle_count; t++)
+        for (int i = 0; i < 3; i++)
+            s->welded_triangles[t][i] = s->welded[s->tris.triangles[t][i]];
+    s->ring_of = s->welded;
+    s->triangles = (const uint32_t(*)[3])s->welded_triangles;
 }
 
-/* Returns a random number (the finishing steps of MurmurHash3, Appleby 2011). */
-static uint64_t ring_number(uint64_t ring)
+/* Finds which one-rings are open, and which others may be creases: none by angle, as in Blender.
+ */
+static void flag_rings(const struct normals_run *run, struct ring_slot *s)
 {
-    ring *= UINT64_C(0x9e3779b97f4a7c15);
-    ring = (ring ^ ring >> 33) * UINT64_C(0xff51afd7ed558ccd);
-    return ring ^ ring >> 33;
-}
-
-/* Marks open vertices, clears their sums, and lists the triangles at them. */
-static void find_open(struct ring_slot *s)
-{
-    const uint32_t vertices = s->tris.vertex_count, triangles = s->tris.triangle_count;
-    const uint32_t(*corners)[3] = s->tris.triangles, *ring_of = s->ring_of;
-    const uint64_t *random = s->random;
+    const uint32_t count = s->tris.vertex_count;
+    const uint32_t(*triangles)[3] = s->triangles;
+    const float(*units)[4] = (const float(*)[4])s->rings.units;
+    const uint64_t *numbers = run->numbers;
     uint64_t *neighbours = s->neighbours;
-    memset(neighbours, 0, (vertices + UINT64_C(1)) * sizeof *neighbours);
-    for (uint32_t t = 0; t < triangles; t++) {
-        const uint32_t a = ring_of[corners[t][0]], b = ring_of[corners[t][1]],
-                       c = ring_of[corners[t][2]];
-        const uint64_t x = random[a], y = random[b], z = random[c];
+    uint8_t *flags = s->flags;
+    const bool creases = run->weights != BSQ_SCAN_NORMALS_ANGLE;
+    memset(neighbours, 0, count * sizeof *neighbours);
+    for (uint32_t t = 0; t < s->tris.triangle_count; t++) {
+        const uint32_t a = triangles[t][0], b = triangles[t][1], c = triangles[t][2];
+        const uint64_t x = numbers[a], y = numbers[b], z = numbers[c];
         neighbours[a] += y - z;
         neighbours[b] += z - x;
         neighbours[c] += x - y;
     }
-    for (uint32_t v = 0; v < vertices; v++) {
-        const uint64_t ring = s->ring_of[v];
-        s->open[v] = neighbours[ring] != 0 ? OPEN : 0;
-        if (s->open[v])
-            memset(s->rings.sums[ring * BSQ_RING_ROWS], 0, BSQ_RING_ROWS * sizeof *s->rings.sums);
-    }
-    s->open_count = 0;
-    for (uint32_t t = 0; t < triangles; t++) {
-        const uint32_t *v = s->tris.triangles[t];
-        s->open_triangles[s->open_count] = t;
-        s->open_count += s->open[v[0]] | s->open[v[1]] | s->open[v[2]];
+    for (uint32_t ring = 0; ring < count; ring++)
+        flags[ring] = neighbours[ring] != 0                 ? VOX_RING_OPEN
+                      : creases & bsq_may_fold(units[ring]) ? VOX_RING_FOLDS
+                                                            : 0;
+}
+
+/* Lists the triangles at open vertices, and at those that may be creases. */
+static void list_triangles(struct ring_slot *s)
+{
+    const uint8_t *flags = s->flags;
+    s->open_count = s->fold_count = 0;
+    for (uint32_t t = 0; t < s->tris.triangle_count; t++) {
+        const uint32_t *rings = s->triangles[t];
+        const unsigned any = flags[rings[0]] | flags[rings[1]] | flags[rings[2]];
+        if (any & VOX_RING_OPEN)
+            s->open[s->open_count++] = t;
+        if (any & VOX_RING_FOLDS)
+            memcpy(s->folds[s->fold_count++], rings, sizeof *s->folds);
     }
 }
 
-/* Keeps the second sides of the creases among one-rings from `begin` up to `end`. count: the
- * largest number of one. */
-static void keep_seconds(struct ring_slot *s, uint64_t begin, uint64_t end, uint32_t count)
+/* Adds the answers for the creases among `count` one-rings that were divided. */
+static int answer_creases(struct normals_run *run, uint32_t chunk, const struct ring_slot *s,
+                          uint32_t count)
 {
-    BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_pack)
-    ((const double(*)[4])s->rings.seconds, s->numbers, count, s->seconds);
-    for (uint64_t ring = begin; ring < end; ring++) {
-        const uint32_t crease = s->rings.crease_of[ring];
-        if (crease == 0)
-            continue;
-        s->found[s->found_count] = s->seconds[crease - 1];
-        s->found_of[ring] = ++s->found_count;
+    vox_rings_pack_fn *const pack = BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_pack);
+    int status = 0;
+    pack((const double(*)[4])s->rings.firsts, run->own_rings + 1, count, s->firsts);
+    pack((const double(*)[4])s->rings.seconds, run->own_rings + 1, count, s->seconds);
+    pthread_mutex_lock(&run->lock);
+    for (uint32_t v = 0; v < s->tris.vertex_count && status == 0; v++) {
+        const uint32_t crease = s->rings.crease_of[s->ring_of[v]];
+        if (crease > 0)
+            status = vox_normals_answer(run, &(struct normals_answer){chunk, v | ANSWER_CREASE,
+                                                                      s->firsts[crease - 1],
+                                                                      s->seconds[crease - 1]});
     }
+    pthread_mutex_unlock(&run->lock);
+    return status;
 }
 
 /* Divides the creases among the closed vertices. */
-static void divide_creases(const struct normals_run *run, struct ring_slot *s)
+static int divide_creases(struct normals_run *run, uint32_t chunk, struct ring_slot *s)
 {
     vox_rings_add_fn *const add = BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_add);
-    const uint64_t rings = s->tris.vertex_count + UINT64_C(1);
-    const uint32_t triangles = s->tris.triangle_count;
+    const uint32_t(*folds)[3] = (const uint32_t(*)[3])s->folds;
+    const uint32_t rings = s->tris.vertex_count;
+    const float(*positions)[3] = s->tris.positions;
     uint32_t count;
     memset(s->rings.crease_of, 0, rings * sizeof *s->rings.crease_of);
-    memset(s->found_of, 0, rings * sizeof *s->found_of);
-    s->found_count = 0;
-    for (uint64_t begin = 1, end; begin < rings; begin = end) {
-        end = vox_rings_number_creases(&s->rings, run->weights, begin, rings, CREASES, &count);
+    for (uint32_t begin = 0; begin < rings;) {
+        begin = vox_rings_number_creases(&s->rings, s->flags, begin, rings, CREASES, &count);
         if (count == 0)
             continue;
-        add(&s->rings, VOX_RING_FARTHEST, run->weights, triangles);
-        if (vox_rings_divide(&s->rings, begin, end)) {
-            add(&s->rings, VOX_RING_SIDES, run->weights, triangles);
-            vox_rings_decide(&s->rings, begin, end);
-            keep_seconds(s, begin, end, count);
+        add(&s->rings, VOX_RING_FARTHEST, run->weights, positions, folds, folds, s->fold_count);
+        if (vox_rings_divide(&s->rings, count)) {
+            add(&s->rings, VOX_RING_SIDES, run->weights, positions, folds, folds, s->fold_count);
+            vox_rings_decide(&s->rings, count);
+            BSQ_PASS(answer_creases(run, chunk, s, count));
         }
-        memset(&s->rings.crease_of[begin], 0, (end - begin) * sizeof *s->rings.crease_of);
+        for (uint32_t i = 1; i <= count; i++)
+            s->rings.crease_of[s->rings.crease_rings[i]] = 0;
     }
+    return 0;
 }
 
 /* ---- the pipeline ---- */
@@ -188,42 +187,40 @@ static int visit_produce(void *arg, void *slot, uint64_t chunk)
 
 static int visit_work(void *arg, void *slot, uint64_t chunk, unsigned worker)
 {
-    const struct normals_run *run = arg;
+    struct normals_run *run = arg;
     struct ring_slot *s = slot;
     (void)worker;
     BSQ_PASS(fmt_tris_load(run->file, chunk, s->scratch, &s->tris));
+    s->ring_of = run->own_rings;
+    s->triangles = s->tris.triangles;
+    /* Without attributes, vertices of a chunk are at different positions; if two were not, both
+     * would be open, and be joined by position. */
     if (s->tris.texcoords || s->tris.colors)
         weld_vertices(s);
-    else
-        number_vertices(s);
-    s->rings.positions = s->tris.positions;
-    s->rings.triangles = s->tris.triangles;
-    s->rings.ring_of = s->ring_of;
-    memset(s->rings.sums, 0,
-           (s->tris.vertex_count + UINT64_C(1)) * BSQ_RING_ROWS * sizeof *s->rings.sums);
+    vox_rings_clear(&s->rings, 0, s->tris.vertex_count);
     BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_add)
-    (&s->rings, VOX_RING_SUM, run->weights, s->tris.triangle_count);
-    find_open(s);
-    divide_creases(run, s);
+    (&s->rings, VOX_RING_SUM, run->weights, s->tris.positions, s->triangles, s->triangles,
+     s->tris.triangle_count);
     BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_pack)
     ((const double(*)[4])s->rings.sums, s->ring_of, s->tris.vertex_count, s->normals);
+    flag_rings(run, s);
+    list_triangles(s);
+    BSQ_PASS(divide_creases(run, (uint32_t)chunk, s));
     return fmt_tris_normals_put(run->writer, chunk, s->normals);
 }
 
 /* Sends the corners of a triangle that are at open vertices. */
 static int send_triangle(struct normals_run *run, uint32_t chunk, struct ring_slot *s,
-                         uint32_t triangle)
+                         const uint32_t v[3])
 {
-    const uint32_t *v = s->tris.triangles[triangle];
     struct open_corner record = {.chunk = chunk};
     for (int i = 0; i < 3; i++)
         memcpy(record.triangle[i], s->tris.positions[v[i]], sizeof record.triangle[i]);
     for (uint32_t i = 0; i < 3; i++) {
-        if (!s->open[v[i]])
+        if (!(s->flags[s->ring_of[v[i]]] & VOX_RING_OPEN))
             continue;
-        record.vertex =
-            v[i] | i << OPEN_CORNER_SHIFT | (s->open[v[i]] == OPEN ? OPEN_ASKS : UINT32_C(0));
-        s->open[v[i]] = ASKED;
+        record.vertex = v[i] | i << OPEN_CORNER_SHIFT | (s->asked[v[i]] ? UINT32_C(0) : OPEN_ASKS);
+        s->asked[v[i]] = true;
         const uint32_t hash = bsq_position_hash(record.triangle[i]);
         BSQ_PASS(bsq_spill_add(&run->corners, normals_bucket(hash, run->corners.stream_count),
                                &record, sizeof record));
@@ -236,14 +233,9 @@ static int visit_emit(void *arg, void *slot, uint64_t sequence)
     const uint32_t chunk = (uint32_t)sequence;
     struct normals_run *run = arg;
     struct ring_slot *s = slot;
+    memset(s->asked, 0, s->tris.vertex_count * sizeof *s->asked);
     for (uint32_t i = 0; i < s->open_count; i++)
-        BSQ_PASS(send_triangle(run, chunk, s, s->open_triangles[i]));
-    for (uint32_t v = 0; v < s->tris.vertex_count && s->found_count > 0; v++) {
-        const uint32_t found = s->found_of[s->ring_of[v]];
-        const struct normals_answer answer = {chunk, v | ANSWER_CREASE, s->normals[v],
-                                              found ? s->found[found - 1] : 0};
-        BSQ_PASS(found ? vox_normals_answer(run, &answer) : 0);
-    }
+        BSQ_PASS(send_triangle(run, chunk, s, s->tris.triangles[s->open[i]]));
     bsq_progress_add(run->ctx, 1);
     return 0;
 }
@@ -259,13 +251,8 @@ int vox_normals_visit_chunks(struct normals_run *run)
     int status;
     BSQ_TRY(BSQ_CALLOC(run->ctx, "normals", count, &slots));
     BSQ_TRY(bsq_alloc(run->ctx, "normals", count, bytes, &memory));
-    for (uint64_t i = 0; i < count; i++) {
+    for (uint64_t i = 0; i < count; i++)
         slot_lay_out(run, memory + i * bytes, &slots[i]);
-        for (uint32_t k = 0; k < CREASES; k++)
-            slots[i].numbers[k] = k + 1;
-        for (uint32_t r = 0; r <= run->vertices; r++)
-            slots[i].random[r] = ring_number(r);
-    }
     const struct bsq_pipeline pipeline = {.produce = visit_produce,
                                           .work = visit_work,
                                           .emit = visit_emit,

@@ -10,11 +10,7 @@
 #include "base/geometry/positions.h"
 #include "base/parallel.h"
 
-enum {
-    RECORDS = 256 /* that are read at a time */,
-    LEAST_POSITIONS = 1024,
-    MOST_POSITIONS = 65536
-};
+enum { RECORDS = 256 /* that are read at a time */, LEAST_POSITIONS = 1024 };
 
 /* Memory of a worker. */
 struct open_worker {
@@ -24,12 +20,13 @@ struct open_worker {
     struct bsq_positions table;
     float (*positions)[3];
     struct vox_rings rings;
-    uint32_t *all;              /* numbers of one-rings: 1, 2, 3 ... */
-    uint64_t *firsts, *seconds; /* the normals of one-rings, and of creases; from 1 on */
+    /* From number 1 on: of one-rings, their normals; of creases, those of both sides. */
+    uint64_t *normals, *firsts, *seconds;
+    uint8_t *flags;
     /* Of the records that were read: */
     struct open_corner *records;
     float (*corners)[3];
-    uint32_t (*triangles)[3], *ring_of;
+    uint32_t (*triangles)[3], (*ring_of)[3];
 };
 
 /* The part of a bucket whose positions have a hash with these bits. */
@@ -50,21 +47,18 @@ static uint64_t worker_lay_out(uint8_t *memory, struct open_worker *w)
 {
     const uint64_t rings = w->most + UINT64_C(1);
     uint64_t at = 0;
-    w->rings.sums = normals_place(memory, &at, rings * BSQ_RING_ROWS, sizeof *w->rings.sums);
-    w->rings.firsts = normals_place(memory, &at, rings * BSQ_RING_ROWS, sizeof *w->rings.firsts);
-    w->rings.seconds = normals_place(memory, &at, rings * BSQ_RING_ROWS, sizeof *w->rings.seconds);
-    w->rings.creases = normals_place(memory, &at, rings, sizeof *w->rings.creases);
-    w->rings.crease_of = normals_place(memory, &at, rings, sizeof *w->rings.crease_of);
+    normals_place_rings(memory, &at, rings, rings, &w->rings);
     w->table.cells =
         normals_place(memory, &at, bsq_positions_cells(w->most), sizeof *w->table.cells);
     w->positions = normals_place(memory, &at, w->most, sizeof *w->positions);
-    w->all = normals_place(memory, &at, rings, sizeof *w->all);
-    w->firsts = normals_place(memory, &at, rings, sizeof *w->firsts);
-    w->seconds = normals_place(memory, &at, rings, sizeof *w->seconds);
+    w->normals = normals_place(memory, &at, w->most, sizeof *w->normals);
+    w->firsts = normals_place(memory, &at, w->most, sizeof *w->firsts);
+    w->seconds = normals_place(memory, &at, w->most, sizeof *w->seconds);
+    w->flags = normals_place(memory, &at, rings, sizeof *w->flags);
     w->records = normals_place(memory, &at, RECORDS, sizeof *w->records);
     w->corners = normals_place(memory, &at, 3 * RECORDS + 1, sizeof *w->corners);
     w->triangles = normals_place(memory, &at, RECORDS, sizeof *w->triangles);
-    w->ring_of = normals_place(memory, &at, 3 * RECORDS, sizeof *w->ring_of);
+    w->ring_of = normals_place(memory, &at, RECORDS, sizeof *w->ring_of);
     return at;
 }
 
@@ -79,8 +73,7 @@ static bool find_ring(struct open_worker *w, const float position[3], uint32_t h
             return false;
         memcpy(w->positions[w->count], position, sizeof *w->positions);
         *cell = ++w->count;
-        memset(w->rings.sums[*cell * (uint64_t)BSQ_RING_ROWS], 0,
-               BSQ_RING_ROWS * sizeof *w->rings.sums);
+        vox_rings_clear(&w->rings, *cell, 1);
     }
     *ring = *cell;
     return true;
@@ -93,14 +86,14 @@ static int read_records(struct open_worker *w, const struct open_part *part, uin
 {
     BSQ_PASS(bsq_spill_read(&w->run->corners, part->bucket, first * sizeof *w->records,
                             count * sizeof *w->records, w->records, cursor));
-    memset(w->ring_of, 0, 3 * RECORDS * sizeof *w->ring_of);
+    memset(w->ring_of, 0, RECORDS * sizeof *w->ring_of);
     for (uint32_t i = 0; i < count && *fits; i++) {
         const struct open_corner *record = &w->records[i];
         const uint32_t corner = record->vertex >> OPEN_CORNER_SHIFT & 3;
         const uint32_t hash = bsq_position_hash(record->triangle[corner]);
         memcpy(w->corners[3 * i], record->triangle, sizeof record->triangle);
         if ((part_bits(hash) & part->mask) == part->bits)
-            *fits = find_ring(w, record->triangle[corner], hash, &w->ring_of[3 * i + corner]);
+            *fits = find_ring(w, record->triangle[corner], hash, &w->ring_of[i][corner]);
     }
     return 0;
 }
@@ -112,13 +105,14 @@ static int answer_records(struct open_worker *w, uint32_t count)
     pthread_mutex_lock(&w->run->lock);
     for (uint32_t i = 0; i < count && status == 0; i++) {
         const struct open_corner *record = &w->records[i];
-        const uint32_t ring = w->ring_of[3 * i + (record->vertex >> OPEN_CORNER_SHIFT & 3)];
+        const uint32_t ring = w->ring_of[i][record->vertex >> OPEN_CORNER_SHIFT & 3];
         if (ring == 0 || !(record->vertex & OPEN_ASKS))
             continue;
         const uint32_t crease = w->rings.crease_of[ring];
         const struct normals_answer answer = {
             record->chunk, (record->vertex & OPEN_VERTEX_MASK) | (crease ? ANSWER_CREASE : 0u),
-            w->firsts[ring - 1], crease ? w->seconds[crease - 1] : 0};
+            crease ? w->firsts[crease - 1] : w->normals[ring - 1],
+            crease ? w->seconds[crease - 1] : 0};
         status = vox_normals_answer(w->run, &answer);
     }
     pthread_mutex_unlock(&w->run->lock);
@@ -140,7 +134,8 @@ static int run_records(struct open_worker *w, const struct open_part *part, bool
         if (answers)
             BSQ_PASS(answer_records(w, count));
         else if (*fits)
-            add(&w->rings, step, w->run->weights, count);
+            add(&w->rings, step, w->run->weights, (const float(*)[3])w->corners,
+                (const uint32_t(*)[3])w->triangles, (const uint32_t(*)[3])w->ring_of, count);
     }
     return 0;
 }
@@ -150,6 +145,7 @@ static int run_records(struct open_worker *w, const struct open_part *part, bool
 static int join_part(struct open_worker *w, const struct open_part *part, bool *fits)
 {
     uint32_t creases;
+    const uint32_t *own = w->run->own_rings + 1;
     vox_rings_pack_fn *const pack = BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_pack);
     const uint64_t records = w->run->corners.list[part->bucket].bytes / sizeof *w->records;
     *fits = true;
@@ -159,18 +155,23 @@ static int join_part(struct open_worker *w, const struct open_part *part, bool *
     BSQ_PASS(run_records(w, part, false, VOX_RING_SUM, fits));
     if (!*fits)
         return 0;
-    const uint64_t rings = w->count + UINT64_C(1);
-    w->rings.crease_of[0] = 0;
-    vox_rings_number_creases(&w->rings, w->run->weights, 1, rings, UINT32_MAX, &creases);
+    pack((const double(*)[4])w->rings.sums, own, w->count, w->normals);
+    for (uint32_t ring = 1; ring <= w->count; ring++)
+        w->flags[ring] =
+            w->run->weights != BSQ_SCAN_NORMALS_ANGLE && bsq_may_fold(w->rings.units[ring])
+                ? VOX_RING_FOLDS
+                : 0;
+    memset(w->rings.crease_of, 0, (w->count + UINT64_C(1)) * sizeof *w->rings.crease_of);
+    vox_rings_number_creases(&w->rings, w->flags, 1, w->count + 1, UINT32_MAX, &creases);
     if (creases > 0) {
         BSQ_PASS(run_records(w, part, false, VOX_RING_FARTHEST, fits));
-        if (vox_rings_divide(&w->rings, 1, rings)) {
+        if (vox_rings_divide(&w->rings, creases)) {
             BSQ_PASS(run_records(w, part, false, VOX_RING_SIDES, fits));
-            vox_rings_decide(&w->rings, 1, rings);
+            vox_rings_decide(&w->rings, creases);
         }
-        pack((const double(*)[4])w->rings.seconds, w->all, creases, w->seconds);
+        pack((const double(*)[4])w->rings.firsts, own, creases, w->firsts);
+        pack((const double(*)[4])w->rings.seconds, own, creases, w->seconds);
     }
-    pack((const double(*)[4])w->rings.sums, w->all, w->count, w->firsts);
     return run_records(w, part, true, VOX_RING_SUM, fits);
 }
 
@@ -213,12 +214,7 @@ static int make_worker(struct normals_run *run, uint32_t most, struct open_worke
     BSQ_PASS(bsq_alloc(run->ctx, "normals", worker_lay_out(NULL, w), 1, &memory));
     worker_lay_out(memory, w);
     w->table.positions = (const float(*)[3])w->positions;
-    w->rings.positions = (const float(*)[3])w->corners;
-    w->rings.triangles = (const uint32_t(*)[3])w->triangles;
-    w->rings.ring_of = w->ring_of;
-    memset(w->rings.sums, 0, BSQ_RING_ROWS * sizeof *w->rings.sums);
-    for (uint32_t i = 0; i < most; i++)
-        w->all[i] = i + 1;
+    vox_rings_clear(&w->rings, 0, 1);
     for (uint32_t i = 0; i < 3 * RECORDS; i++)
         w->triangles[i / 3][i % 3] = i;
     return 0;
@@ -232,7 +228,7 @@ int vox_normals_join_corners(struct normals_run *run)
     struct open_worker one = {.most = LEAST_POSITIONS};
     uint64_t most = share / worker_lay_out(NULL, &one) * LEAST_POSITIONS;
     most = most < LEAST_POSITIONS ? LEAST_POSITIONS : most;
-    most = most > MOST_POSITIONS ? MOST_POSITIONS : most;
+    most = most > NORMALS_RINGS ? NORMALS_RINGS : most;
     int status = BSQ_CALLOC(run->ctx, "normals", threads, &workers);
     for (unsigned i = 0; i < threads && status == 0; i++)
         status = make_worker(run, (uint32_t)most, &workers[i]);

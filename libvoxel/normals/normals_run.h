@@ -26,6 +26,8 @@ struct normals_answer {
 };
 #define ANSWER_CREASE (1u << 31)
 
+enum { NORMALS_RINGS = 65536 };
+
 struct normals_run {
     struct bsq_ctx *ctx;
     struct fmt_tris_writer *writer;
@@ -38,6 +40,10 @@ struct normals_run {
     struct bsq_spill answers;     /* of struct normals_answer, by chunk */
     uint32_t answer_chunks;       /* chunks of a bucket of answers */
     pthread_mutex_t lock;         /* of the answers */
+    /* For one-rings up to the number of vertices, and up to NORMALS_RINGS: 0, 1, 2, ...; and random
+     * numbers. */
+    uint32_t *own_rings;
+    uint64_t *numbers;
 };
 
 /* normals_chunk.c: goes through all chunks: writes the normals of their closed vertices, and fills
@@ -56,6 +62,20 @@ static inline void *normals_place(uint8_t *memory, uint64_t *at, uint64_t count,
     void *to = memory ? memory + *at : NULL;
     *at += bsq_align_up(count * size, BSQ_ALIGNMENT);
     return to;
+}
+
+/* Does the same for the arrays of one-rings. */
+static inline void normals_place_rings(uint8_t *memory, uint64_t *at, uint64_t rings,
+                                       uint64_t creases, struct vox_rings *out)
+{
+    out->sums = normals_place(memory, at, rings * BSQ_RING_ROWS, sizeof *out->sums);
+    out->units = normals_place(memory, at, rings, sizeof *out->units);
+    out->crease_of = normals_place(memory, at, rings, sizeof *out->crease_of);
+    out->crease_rings = normals_place(memory, at, creases, sizeof *out->crease_rings);
+    out->creases = normals_place(memory, at, creases, sizeof *out->creases);
+    out->firsts = normals_place(memory, at, creases * BSQ_RING_ROWS, sizeof *out->firsts);
+    out->seconds = normals_place(memory, at, creases * BSQ_RING_ROWS, sizeof *out->seconds);
+    out->spreads = normals_place(memory, at, creases * BSQ_RING_ROWS, sizeof *out->spreads);
 }
 
 /* Returns the bucket of a position among `count`. */

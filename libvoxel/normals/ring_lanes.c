@@ -5,16 +5,18 @@
 #include "base/geometry/vertex_normal.h"
 
 void BSQ_SIMD_NAME(vox_rings_add)(const struct vox_rings *r, enum vox_ring_step step,
-                                  enum bsq_scan_normals weights, uint32_t count)
+                                  enum bsq_scan_normals weights, const float (*positions)[3],
+                                  const uint32_t (*triangles)[3], const uint32_t (*of)[3],
+                                  uint32_t count)
 {
     if (step == VOX_RING_SUM)
-        bsq_add_one_rings(r->positions, r->triangles, 0, count, r->ring_of, weights, r->sums);
+        bsq_add_one_rings(positions, triangles, of, count, weights, r->sums, r->units);
     else if (step == VOX_RING_FARTHEST)
-        bsq_find_farthest(r->positions, r->triangles, 0, count, r->ring_of, r->crease_of,
+        bsq_find_farthest(positions, triangles, of, count, r->crease_of,
                           (const double(*)[4])r->sums, r->creases);
     else
-        bsq_add_sides(r->positions, r->triangles, 0, count, r->ring_of, r->crease_of,
-                      (const double(*)[4])r->creases, r->firsts, r->seconds);
+        bsq_add_sides(positions, triangles, of, count, r->crease_of, (const double(*)[4])r->creases,
+                      r->firsts, r->seconds, r->spreads);
 }
 
 /* Share of the height of a one-ring's centroid above its vertex, by which the surface rises
@@ -67,7 +69,7 @@ void BSQ_SIMD_NAME(vox_rings_pack)(const double (*rings)[4], const uint32_t *rin
         for (uint32_t l = 0; l < LANE_COUNT; l++) {
             const uint64_t ring = ring_of[done + l < count ? done + l : done];
             sums[l] = rings[ring * BSQ_RING_ROWS];
-            moments[l] = rings[ring * BSQ_RING_ROWS + BSQ_RING_ROWS - 1];
+            moments[l] = rings[ring * BSQ_RING_ROWS + 1];
         }
         lanes_gather_four(sums, n);
         lanes_gather_four(moments, m);

@@ -10,8 +10,9 @@ static double difference(const float *a, const float *b, int axis)
     return (double)a[axis] - (double)b[axis];
 }
 
-/* Adds a triangle to the three rows of the one-ring of its corner `i`. */
-static void add_triangle(const float (*positions)[3], const uint32_t v[3], int i, double (*sums)[4])
+/* Adds a triangle to the sums of the one-ring of its corner `i`. */
+static void add_triangle(const float (*positions)[3], const uint32_t v[3], int i, double (*sums)[4],
+                         float unit[4])
 {
     const float *c[3] = {positions[v[0]], positions[v[1]], positions[v[2]]};
     const float *at = c[i], *next = c[(i + 1) % 3], *previous = c[(i + 2) % 3];
@@ -24,35 +25,37 @@ static void add_triangle(const float (*positions)[3], const uint32_t v[3], int i
     const double area = sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2]);
     for (int k = 0; k < 3; k++) {
         sums[0][k] += vector[k];
-        sums[1][k] += area > 0 ? vector[k] * (1 / area) : 0;
-        sums[2][k] += area * (difference(next, at, k) - difference(at, previous, k));
+        sums[1][k] += area * (difference(next, at, k) - difference(at, previous, k));
+        unit[k] += area > 0 ? (float)(vector[k] * (1 / area)) : 0;
     }
     sums[0][3] += area;
-    sums[1][3] += area > 0 ? area * (1 / area) : 0;
+    unit[3] += area > 0 ? (float)(area * (1 / area)) : 0;
 }
 
 TEST(test_sums_over_one_rings)
 {
     uint64_t seed = test_seed();
     float positions[VERTICES][3];
-    uint32_t triangles[TRIANGLES][3], ring_of[VERTICES];
-    double sums[3 * RINGS][4] = {{0}}, expected[3 * RINGS][4] = {{0}};
+    uint32_t triangles[TRIANGLES][3], rings[TRIANGLES][3];
+    double sums[2 * RINGS][4] = {{0}}, expected[2 * RINGS][4] = {{0}};
+    float units[RINGS][4] = {{0}}, expected_units[RINGS][4] = {{0}};
     for (int i = 0; i < 3 * VERTICES; i++)
         positions[i / 3][i % 3] = (float)(int32_t)test_random(&seed) * 0x1p-20F;
-    for (uint32_t i = 0; i < VERTICES; i++)
-        ring_of[i] = i < RINGS ? i : 0;
-    for (int i = 0; i < 3 * TRIANGLES; i++)
-        triangles[i / 3][i % 3] = (uint32_t)(test_random(&seed) % VERTICES);
     for (int i = 0; i < 3 * TRIANGLES; i++) {
-        const uint32_t *v = triangles[i / 3];
-        add_triangle((const float(*)[3])positions, v, i % 3, &expected[3 * ring_of[v[i % 3]]]);
+        triangles[i / 3][i % 3] = (uint32_t)(test_random(&seed) % VERTICES);
+        rings[i / 3][i % 3] = triangles[i / 3][i % 3] % RINGS;
     }
-    for (uint32_t begin = 0; begin < TRIANGLES; begin += TRIANGLES / 2) {
-        const uint32_t end = begin + TRIANGLES / 2;
-        bsq_add_one_rings((const float(*)[3])positions, (const uint32_t(*)[3])triangles, begin, end,
-                          ring_of, BSQ_SCAN_NORMALS_AREA, sums);
+    for (int i = 0; i < 3 * TRIANGLES; i++) {
+        const uint32_t ring = rings[i / 3][i % 3];
+        add_triangle((const float(*)[3])positions, triangles[i / 3], i % 3, &expected[2 * ring],
+                     expected_units[ring]);
     }
-    assert_memory_equal(sums[3], expected[3], sizeof sums - 3 * sizeof sums[0]);
+    for (uint32_t begin = 0; begin < TRIANGLES; begin += TRIANGLES / 2)
+        bsq_add_one_rings((const float(*)[3])positions, (const uint32_t(*)[3]) & triangles[begin],
+                          (const uint32_t(*)[3]) & rings[begin], TRIANGLES / 2,
+                          BSQ_SCAN_NORMALS_AREA, sums, units);
+    assert_memory_equal(sums, expected, sizeof sums);
+    assert_memory_equal(units, expected_units, sizeof units);
 }
 
 /* Right angles, and angles down to 1e-9 and up to nearly pi. */
@@ -73,10 +76,10 @@ TEST(test_angles)
 static void normal_of_first(const float (*positions)[3], const uint32_t (*triangles)[3],
                             uint32_t count, enum bsq_scan_normals weights, double out[3])
 {
-    const uint32_t ring_of[VERTICES] = {1};
-    double sums[2 * BSQ_RING_ROWS][4] = {{0}};
-    bsq_add_one_rings(positions, triangles, 0, count, ring_of, weights, sums);
-    const double *s = sums[BSQ_RING_ROWS], length = sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2]);
+    double sums[VERTICES * BSQ_RING_ROWS][4] = {{0}};
+    float units[VERTICES][4] = {{0}};
+    bsq_add_one_rings(positions, triangles, triangles, count, weights, sums, units);
+    const double *s = sums[0], length = sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2]);
     for (int k = 0; k < 3; k++)
         out[k] = s[k] / length;
 }
@@ -138,6 +141,22 @@ TEST(test_no_area)
         normal_of_first(positions, triangles, 3, (enum bsq_scan_normals)w, n);
         assert_true(n[0] == 0 && n[1] == 0 && n[2] == 1);
     }
+}
+
+/* Two normals with more than 45 degrees between them are seen among any number of others. */
+TEST(test_may_fold)
+{
+    for (uint32_t others = 0; others < 20000; others = 2 * others + 1) {
+        float units[4] = {0};
+        for (uint32_t i = 0; i < others + 2; i++) {
+            const double turn = i == 0 ? BSQ_PI / 8 + 1e-3 : i == 1 ? -BSQ_PI / 8 - 1e-3 : 0.0;
+            const float unit[4] = {(float)cos(turn), (float)sin(turn), 0, 1};
+            for (int k = 0; k < 4; k++)
+                units[k] += unit[k];
+        }
+        assert_true(bsq_may_fold(units));
+    }
+    assert_false(bsq_may_fold((const float[4]){6, 0, 0, 6}));
 }
 
 TEST(test_creases)
