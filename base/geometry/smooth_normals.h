@@ -10,8 +10,8 @@
  *
  * A one-ring's sums are BSQ_RING_ROWS rows of four doubles: the weighted normals and the weights;
  * and the moment, which is three times the weight times the distance of the triangle's centroid
- * from the vertex, and an unused number. Beside them are four floats: the unit normals and the
- * number of triangles. */
+ * from the vertex, and an unused number. `units` has a third row: the unit normals and the number
+ * of triangles. */
 #ifndef BSQ_SMOOTH_NORMALS_H
 #define BSQ_SMOOTH_NORMALS_H
 
@@ -30,10 +30,8 @@
  * two sheets of any weights, with a fold below this, none is a crease. */
 #define BSQ_FACET_COSINE 0.70710678118654752
 /* Least sum of the squared distances of unit normals from their mean if two of them are more than
- * 45 degrees apart; and what the rounding of floats may take from it, by the square of the number
- * of normals. */
-#define BSQ_CREASE_SPREAD   0.2928f
-#define BSQ_SPREAD_ROUNDING 4e-7f
+ * 45 degrees apart. */
+#define BSQ_CREASE_SPREAD 0.2928
 /* Share of a one-ring's spread that both sides of a crease have at most: what the lengths of their
  * sums lack of their weights, beside the same of the sum of both. Noise has more. */
 #define BSQ_SIDES_SHARE 0.03
@@ -175,7 +173,7 @@ LANES_INLINE void bsq_facets_of(const float (*positions)[3], const uint32_t (*tr
 LANES_INLINE void bsq_add_rings_weighted(const float (*positions)[3],
                                          const uint32_t (*triangles)[3], const uint32_t (*rings)[3],
                                          uint32_t count, enum bsq_scan_normals weights,
-                                         double (*sums)[4], float (*units)[4])
+                                         double (*sums)[4], double (*units)[4])
 {
     struct bsq_facets facets = {.areas = {0}};
     for (uint32_t t = 0; t < count; t++) {
@@ -185,7 +183,7 @@ LANES_INLINE void bsq_add_rings_weighted(const float (*positions)[3],
             bsq_facets_of(positions, &triangles[t], count - t < BSQ_FACETS ? count - t : BSQ_FACETS,
                           &facets);
         const struct row area = row_with_last(row_load(facets.vectors[at]), facets.areas[at]);
-        const four_floats unit = row_floats(row_times(facets.inverses[at], area));
+        const struct row unit = row_times(facets.inverses[at], area);
         if (weights != BSQ_SCAN_NORMALS_AREA) {
             bsq_corners_of(positions, triangles[t], corner);
             factors = bsq_corner_factors(corner, facets.areas[at], weights);
@@ -197,7 +195,7 @@ LANES_INLINE void bsq_add_rings_weighted(const float (*positions)[3],
                 weights == BSQ_SCAN_NORMALS_AREA ? area : row_times(row_number(factors, i), area);
             row_add(to[0], normal);
             row_add(to[1], row_times(row_number(normal, 3), row_load(facets.centroids[at][i])));
-            four_floats_add(units[ring], unit);
+            row_add(units[ring], unit);
         }
     }
 }
@@ -206,7 +204,7 @@ LANES_INLINE void bsq_add_rings_weighted(const float (*positions)[3],
 LANES_INLINE void bsq_add_one_rings(const float (*positions)[3], const uint32_t (*triangles)[3],
                                     const uint32_t (*rings)[3], uint32_t count,
                                     enum bsq_scan_normals weights, double (*sums)[4],
-                                    float (*units)[4])
+                                    double (*units)[4])
 {
     if (weights == BSQ_SCAN_NORMALS_AREA)
         bsq_add_rings_weighted(positions, triangles, rings, count, BSQ_SCAN_NORMALS_AREA, sums,
@@ -247,11 +245,9 @@ static inline double bsq_row_dot(const double a[4], const double b[4])
 
 /* Returns whether two triangles may be more than 45 degrees apart. units: sums of unit normals, and
  * their number. */
-static inline bool bsq_may_fold(const float units[4])
+static inline bool bsq_may_fold(const double units[4])
 {
-    const float x = units[0], y = units[1], z = units[2], count = units[3],
-                spread = BSQ_CREASE_SPREAD - BSQ_SPREAD_ROUNDING * count * count;
-    return x * x + y * y + z * z < (count - spread) * count;
+    return bsq_row_dot(units, units) < (units[3] - BSQ_CREASE_SPREAD) * units[3];
 }
 
 /* Reads the corners of a triangle. Returns false if none of them is at a crease. */

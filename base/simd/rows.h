@@ -117,23 +117,6 @@ LANES_INLINE four_floats four_floats_load(const float *from)
     return *(const four_floats_in_memory *)from;
 }
 
-/* Adds x to the four floats at `to`. */
-LANES_INLINE void four_floats_add(float *to, four_floats x)
-{
-    *(four_floats_in_memory *)to = four_floats_load(to) + x;
-}
-
-/* Rounds to floats. */
-LANES_INLINE four_floats row_floats(struct row x)
-{
-#ifdef __AVX2__
-    return _mm256_cvtpd_ps(x.vector[0]);
-#else
-    return (four_floats){(float)x.vector[0][0], (float)x.vector[0][1], (float)x.vector[1][0],
-                         (float)x.vector[1][1]};
-#endif
-}
-
 /* Returns a < b ? a : b for each number; four_floats_max(): a > b ? a : b. */
 LANES_INLINE four_floats four_floats_min(four_floats a, four_floats b)
 {

@@ -98,7 +98,7 @@ static void flag_rings(const struct normals_run *run, struct ring_slot *s)
 {
     const uint32_t count = s->tris.vertex_count;
     const uint32_t(*triangles)[3] = s->triangles;
-    const float(*units)[4] = (const float(*)[4])s->rings.units;
+    const double(*units)[4] = (const double(*)[4])s->rings.units;
     const uint64_t *numbers = run->numbers;
     uint64_t *neighbours = s->neighbours;
     uint8_t *flags = s->flags;

@@ -7,8 +7,7 @@
 
 /* The sums of one-rings. */
 struct vox_rings {
-    double (*sums)[4];
-    float (*units)[4];
+    double (*sums)[4], (*units)[4];
     /* Creases: their number by one-ring, 0: none; and by their number, from 1 on: the one-ring, the
      * direction, the sums of both sides, and what tells creases from noise. */
     uint32_t *crease_of, *crease_rings;

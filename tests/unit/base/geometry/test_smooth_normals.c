@@ -12,7 +12,7 @@ static double difference(const float *a, const float *b, int axis)
 
 /* Adds a triangle to the sums of the one-ring of its corner `i`. */
 static void add_triangle(const float (*positions)[3], const uint32_t v[3], int i, double (*sums)[4],
-                         float unit[4])
+                         double unit[4])
 {
     const float *c[3] = {positions[v[0]], positions[v[1]], positions[v[2]]};
     const float *at = c[i], *next = c[(i + 1) % 3], *previous = c[(i + 2) % 3];
@@ -26,10 +26,10 @@ static void add_triangle(const float (*positions)[3], const uint32_t v[3], int i
     for (int k = 0; k < 3; k++) {
         sums[0][k] += vector[k];
         sums[1][k] += area * (difference(next, at, k) - difference(at, previous, k));
-        unit[k] += area > 0 ? (float)(vector[k] * (1 / area)) : 0;
+        unit[k] += area > 0 ? vector[k] * (1 / area) : 0;
     }
     sums[0][3] += area;
-    unit[3] += area > 0 ? (float)(area * (1 / area)) : 0;
+    unit[3] += area > 0 ? area * (1 / area) : 0;
 }
 
 TEST(test_sums_over_one_rings)
@@ -38,7 +38,7 @@ TEST(test_sums_over_one_rings)
     float positions[VERTICES][3];
     uint32_t triangles[TRIANGLES][3], rings[TRIANGLES][3];
     double sums[2 * RINGS][4] = {{0}}, expected[2 * RINGS][4] = {{0}};
-    float units[RINGS][4] = {{0}}, expected_units[RINGS][4] = {{0}};
+    double units[RINGS][4] = {{0}}, expected_units[RINGS][4] = {{0}};
     for (int i = 0; i < 3 * VERTICES; i++)
         positions[i / 3][i % 3] = (float)(int32_t)test_random(&seed) * 0x1p-20F;
     for (int i = 0; i < 3 * TRIANGLES; i++) {
@@ -77,7 +77,7 @@ static void normal_of_first(const float (*positions)[3], const uint32_t (*triang
                             uint32_t count, enum bsq_scan_normals weights, double out[3])
 {
     double sums[VERTICES * BSQ_RING_ROWS][4] = {{0}};
-    float units[VERTICES][4] = {{0}};
+    double units[VERTICES][4] = {{0}};
     bsq_add_one_rings(positions, triangles, triangles, count, weights, sums, units);
     const double *s = sums[0], length = sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2]);
     for (int k = 0; k < 3; k++)
@@ -141,22 +141,6 @@ TEST(test_no_area)
         normal_of_first(positions, triangles, 3, (enum bsq_scan_normals)w, n);
         assert_true(n[0] == 0 && n[1] == 0 && n[2] == 1);
     }
-}
-
-/* Two normals with more than 45 degrees between them are seen among any number of others. */
-TEST(test_may_fold)
-{
-    for (uint32_t others = 0; others < 20000; others = 2 * others + 1) {
-        float units[4] = {0};
-        for (uint32_t i = 0; i < others + 2; i++) {
-            const double turn = i == 0 ? BSQ_PI / 8 + 1e-3 : i == 1 ? -BSQ_PI / 8 - 1e-3 : 0.0;
-            const float unit[4] = {(float)cos(turn), (float)sin(turn), 0, 1};
-            for (int k = 0; k < 4; k++)
-                units[k] += unit[k];
-        }
-        assert_true(bsq_may_fold(units));
-    }
-    assert_false(bsq_may_fold((const float[4]){6, 0, 0, 6}));
 }
 
 TEST(test_creases)
