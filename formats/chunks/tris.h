@@ -171,10 +171,11 @@ void fmt_tris_discard(struct fmt_tris_writer *writer); /* NULL is allowed */
 
 /* ---- writing made normals ---- */
 
-/* Starts the section of normals after the last chunk. *out has the chunks for fmt_tris_load();
- * close it before the writer. A file whose section fails is of no use. Errors: BSQ_ENOMEM, BSQ_EIO.
- */
-int fmt_tris_normals_begin(struct fmt_tris_writer *writer, struct fmt_tris_file **out);
+/* Starts the section of normals, made with these weights, after the last chunk. *out has the chunks
+ * for fmt_tris_load(); close it before the writer. A file whose section fails is of no use. Errors:
+ * BSQ_ENOMEM, BSQ_EIO. */
+int fmt_tris_normals_begin(struct fmt_tris_writer *writer, enum bsq_scan_normals weights,
+                           struct fmt_tris_file **out);
 /* Write, and read back, the normals of a chunk's vertices. Thread-safe. */
 int fmt_tris_normals_put(struct fmt_tris_writer *writer, uint64_t chunk, const uint64_t *normals);
 int fmt_tris_normals_get(const struct fmt_tris_file *file, uint64_t chunk, uint64_t *normals);
@@ -187,8 +188,6 @@ uint64_t fmt_tris_normals_checksum(const uint64_t *normals, uint32_t vertex_coun
 int fmt_tris_normals_finish(struct fmt_tris_writer *writer, uint64_t chunk,
                             const struct fmt_tris_crease *creases, uint32_t crease_count,
                             uint64_t checksum);
-/* Ends the section; the normals were made with these weights. */
-void fmt_tris_normals_end(struct fmt_tris_writer *writer, enum bsq_scan_normals weights);
 
 /* ---- reading ---- */
 

@@ -130,9 +130,9 @@ struct fmt_tris_file {
     struct bsq_file file;
     struct fmt_tris_header header;
     struct fmt_tris_chunk_info *chunks;
-    bool own;      /* a writer reads back what it just wrote: checksums are not compared */
-    uint8_t *tail; /* materials and table as in the file; freed after opening */
-    char *paths;   /* all texture paths and names, each with a terminator */
+    bool own;                        /* a writer reads back what it just wrote, and trusts it */
+    uint8_t *tail;                   /* materials and table as in the file; freed after opening */
+    char *paths;                     /* all texture paths and names, each with a terminator */
     struct fmt_tris_source *sources; /* of all materials; NULL: there are none */
     char **images;                   /* names of embedded images, as parts of this file; owned */
     uint64_t image_count, image_capacity;

@@ -154,6 +154,8 @@ int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratc
                                    : largest_index(out->triangles[0], 3 * info->triangle_count);
     if (max >= info->vertex_count)
         return fmt_tris_damaged_chunk(file, index, "an index is out of range");
+    if (file->own)
+        return 0;
     if (!positions_inside(out, info))
         return fmt_tris_damaged_chunk(file, index, "a vertex is outside of the bounds");
     if (out->texcoords && !texcoords_finite(out))

@@ -8,7 +8,8 @@
 
 /* ---- writing ---- */
 
-int fmt_tris_normals_begin(struct fmt_tris_writer *writer, struct fmt_tris_file **out)
+int fmt_tris_normals_begin(struct fmt_tris_writer *writer, enum bsq_scan_normals weights,
+                           struct fmt_tris_file **out)
 {
     const struct tris_file_header *h = &writer->header;
     struct fmt_tris_file *file;
@@ -32,6 +33,7 @@ int fmt_tris_normals_begin(struct fmt_tris_writer *writer, struct fmt_tris_file 
         file->load_size_max = bytes > file->load_size_max ? bytes : file->load_size_max;
     }
     BSQ_TRY(bsq_output_read(writer->output, &file->file));
+    writer->header.made_normals = weights;
     *out = file;
     file = NULL;
 done:
@@ -73,11 +75,6 @@ int fmt_tris_normals_finish(struct fmt_tris_writer *writer, uint64_t chunk,
                : 0;
 }
 
-void fmt_tris_normals_end(struct fmt_tris_writer *writer, enum bsq_scan_normals weights)
-{
-    writer->header.made_normals = weights;
-}
-
 /* ---- reading ---- */
 
 uint64_t fmt_tris_normals_size_max(const struct fmt_tris_file *file)
@@ -109,10 +106,8 @@ int fmt_tris_load_normals(const struct fmt_tris_file *file, uint64_t index, void
         .creases = (const struct fmt_tris_crease *)(const void *)((char *)scratch + bytes),
         .crease_count = info->crease_count};
     BSQ_PASS(bsq_file_read(file->ctx, &file->file, scratch, bytes, info->normals_offset));
-    if (crease_bytes > 0)
-        BSQ_PASS(bsq_file_read(file->ctx, &file->file, (char *)scratch + bytes, crease_bytes,
-                               info->creases_offset));
-    BSQ_PASS(bsq_file_check(file->ctx, &file->file));
+    BSQ_PASS(
+        fmt_tris_read_unchanged(file, (char *)scratch + bytes, crease_bytes, info->creases_offset));
     if (XXH3_64bits(scratch, bytes + crease_bytes) != info->normals_checksum)
         return fmt_tris_damaged_chunk(file, index, "the checksum of its normals does not match");
     if (!creases_valid(out, info->vertex_count))

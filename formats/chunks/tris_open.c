@@ -329,27 +329,25 @@ static bool chunk_info_valid(uint32_t attributes, const struct fmt_tris_chunk_in
 static int check_normals_places(struct fmt_tris_file *file, const struct tris_file_header *h,
                                 uint64_t chunks_end)
 {
+    const bool made = h->made_normals != 0;
     uint64_t normals = chunks_end, creases = chunks_end;
     bool valid = true;
-    for (uint64_t i = 0; i < h->chunk_count; i++)
+    for (uint64_t i = 0; i < h->chunk_count && made; i++)
         creases += file->chunks[i].vertex_count * sizeof(uint64_t);
-    for (uint64_t i = 0; i < h->chunk_count && h->made_normals != 0; i++) {
+    for (uint64_t i = 0; i < h->chunk_count; i++) {
         const struct fmt_tris_chunk_info *info = &file->chunks[i];
-        valid &= info->normals_offset == normals && info->creases_offset == creases &&
-                 info->crease_count <= info->vertex_count && info->reserved == 0;
+        valid &= info->normals_offset == (made ? normals : 0) &&
+                 info->creases_offset == (made ? creases : 0) &&
+                 (made || info->normals_checksum == 0) &&
+                 info->crease_count <= (made ? info->vertex_count : 0) && info->reserved == 0;
         normals += info->vertex_count * sizeof(uint64_t);
         creases += info->crease_count * sizeof(struct fmt_tris_crease);
-        if (fmt_tris_normals_size(info) > file->normals_size_max)
+        if (made && fmt_tris_normals_size(info) > file->normals_size_max)
             file->normals_size_max = fmt_tris_normals_size(info);
-    }
-    for (uint64_t i = 0; i < h->chunk_count && h->made_normals == 0; i++) {
-        const struct fmt_tris_chunk_info *info = &file->chunks[i];
-        valid &= (info->normals_offset | info->creases_offset | info->normals_checksum) == 0 &&
-                 (info->crease_count | info->reserved) == 0;
     }
     if (!valid)
         return fmt_tris_damaged(file, "the places of normals are not valid");
-    return (h->made_normals != 0 ? creases : chunks_end) == h->materials_offset
+    return creases == h->materials_offset
                ? 0
                : fmt_tris_damaged(file, "the chunk table does not cover the file");
 }

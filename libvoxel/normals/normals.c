@@ -36,7 +36,7 @@ struct answer_slot {
     uint64_t checksum;
 };
 
-static int answer_produce(void *arg, void *slot, uint64_t chunk)
+int vox_normals_produce(void *arg, void *slot, uint64_t chunk)
 {
     (void)slot;
     return chunk < ((const struct normals_run *)arg)->chunk_count;
@@ -125,7 +125,7 @@ static int complete_chunks(struct normals_run *run)
     BSQ_TRY(BSQ_CALLOC(run->ctx, "normals", count, &slots));
     for (uint64_t i = 0; i < count; i++)
         BSQ_TRY(BSQ_ALLOC(run->ctx, "normals", ANSWERS, &slots[i].answers));
-    const struct bsq_pipeline pipeline = {.produce = answer_produce,
+    const struct bsq_pipeline pipeline = {.produce = vox_normals_produce,
                                           .work = answer_work,
                                           .emit = answer_emit,
                                           .arg = run,
@@ -215,12 +215,10 @@ int vox_write_normals(struct bsq_ctx *ctx, struct fmt_tris_writer *writer,
     struct normals_run run = {
         .ctx = ctx, .writer = writer, .weights = weights, .lock = PTHREAD_MUTEX_INITIALIZER};
     struct fmt_tris_file *file;
-    int status = fmt_tris_normals_begin(writer, &file);
+    int status = fmt_tris_normals_begin(writer, weights, &file);
     run.file = file;
     if (status == 0)
         status = fill_section(&run, beside);
-    if (status == 0)
-        fmt_tris_normals_end(writer, weights);
     fmt_tris_close(file);
     return status;
 }

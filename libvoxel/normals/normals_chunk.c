@@ -179,12 +179,6 @@ static int divide_creases(struct normals_run *run, uint32_t chunk, struct ring_s
 
 /* ---- the pipeline ---- */
 
-static int visit_produce(void *arg, void *slot, uint64_t chunk)
-{
-    (void)slot;
-    return chunk < ((const struct normals_run *)arg)->chunk_count;
-}
-
 static int visit_work(void *arg, void *slot, uint64_t chunk, unsigned worker)
 {
     struct normals_run *run = arg;
@@ -253,7 +247,7 @@ int vox_normals_visit_chunks(struct normals_run *run)
     BSQ_TRY(bsq_alloc(run->ctx, "normals", count, bytes, &memory));
     for (uint64_t i = 0; i < count; i++)
         slot_lay_out(run, memory + i * bytes, &slots[i]);
-    const struct bsq_pipeline pipeline = {.produce = visit_produce,
+    const struct bsq_pipeline pipeline = {.produce = vox_normals_produce,
                                           .work = visit_work,
                                           .emit = visit_emit,
                                           .arg = run,

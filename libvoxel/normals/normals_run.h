@@ -52,6 +52,8 @@ int vox_normals_visit_chunks(struct normals_run *run);
 /* normals_open.c: sums what open corners say, and adds the answers. */
 int vox_normals_join_corners(struct normals_run *run);
 
+/* Produces the chunks of a pipeline, which are its sequence numbers. */
+int vox_normals_produce(void *run, void *slot, uint64_t chunk);
 /* Adds answers of one chunk. */
 int vox_normals_answer(struct normals_run *run, const struct normals_answer *answer);
 

@@ -151,7 +151,7 @@ static bool find_normals(const struct triangle_scan *scan, const struct corner *
 static void write_normals(const struct triangle_scan *scan, struct fmt_tris_writer *writer)
 {
     struct fmt_tris_file *file;
-    assert_int_equal(fmt_tris_normals_begin(writer, &file), 0);
+    assert_int_equal(fmt_tris_normals_begin(writer, BSQ_SCAN_NORMALS_AREA, &file), 0);
     assert_true(scan->triangle_count > 0);
     struct facet *facets = calloc(3 * (size_t)scan->triangle_count, sizeof *facets);
     struct corner *corners = calloc(3 * (size_t)scan->triangle_count, sizeof *corners);
@@ -182,7 +182,6 @@ static void write_normals(const struct triangle_scan *scan, struct fmt_tris_writ
         free(normals);
         free(scratch);
     }
-    fmt_tris_normals_end(writer, BSQ_SCAN_NORMALS_AREA);
     fmt_tris_close(file);
     free(facets);
     free(corners);

@@ -74,7 +74,7 @@ uint64_t tris_made_normal(uint64_t chunk, uint64_t vertex)
 static void write_normals(struct fmt_tris_writer *writer)
 {
     struct fmt_tris_file *file;
-    assert_int_equal(fmt_tris_normals_begin(writer, &file), 0);
+    assert_int_equal(fmt_tris_normals_begin(writer, BSQ_SCAN_NORMALS_ANGLE, &file), 0);
     for (uint64_t c = 0; c < 2; c++) {
         const uint32_t vertices = 7 + 2 * (uint32_t)c, count = 2 * (uint32_t)c;
         uint64_t normals[9 + 4];
@@ -89,7 +89,6 @@ static void write_normals(struct fmt_tris_writer *writer)
                                     fmt_tris_normals_checksum(normals, vertices, count)),
             0);
     }
-    fmt_tris_normals_end(writer, BSQ_SCAN_NORMALS_ANGLE);
     fmt_tris_close(file);
 }
 
