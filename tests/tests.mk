@@ -16,9 +16,11 @@ needs.locale     := $(needs.exhaustion)
 sanitizer_wraps := $(if $(filter asan tsan,$(config)),$(addprefix -Wl$(comma)--wrap=,malloc calloc \
     realloc pthread_create))
 $(filter $(BUILD)/tests/exhaustion/%,$(unit_bins)): LDFLAGS += $(sanitizer_wraps)
-# Helpers of a library's tests: the sources beside them whose names do not begin with test_.
+# Helpers of a library's tests: the sources beside them whose names do not begin with test_, and for
+# libbake those that write grids.
 $(foreach l,base formats libvoxel libbake exhaustion,$(eval src.helpers.$(l) := $(filter-out \
-    $(unit_sources),$(shell find tests/unit/$(l) -name '*.c')))\
+    $(unit_sources),$(shell find tests/unit/$(l) -name '*.c')) \
+    $(if $(filter libbake,$(l)),tests/unit/formats/grid/nvdb_scene.c))\
     $(eval helpers.$(l) := $(call objs,helpers.$(l))))
 define unit_rule
 $(call unit_bin,$(1)): $(BUILD)/obj/$(1).o $(needs.$(call unit_lib,$(1))) \

@@ -68,7 +68,7 @@ static void make_scene(int number, struct scene *scene)
     static const int extent[TEMPLATES] = {5, 12, 6, 2};
     static const unsigned counts[TEMPLATES] = {8, 90, 12, 3};
     uint64_t state = (uint64_t)number + 1;
-    scene_random(scene, (uint64_t)number + 1, 30, false);
+    scene_random(scene, (uint64_t)number + 1, 30);
     uint64_t kept = 0;
     scene->second_count = 0;
     for (uint64_t i = 0; i < scene->count && i < counts[number]; i++) {

@@ -75,7 +75,8 @@ def make(random):
         has_color=bool(random.integers(0, 2)), normal=normal, plane=plane, color=color,
         voxel_size=float(random.choice([1, 0.1, 3e-39, 1e39, 7e-308, 5e307])),
         translation=[float(t) for t in random.choice([0, -0.5, 1e6 / 3, 1e-320, -1e300], 3)],
-        scan_bounds=numpy.sort(random.normal(0, 1, 6)), triangles=int(random.integers(0, 1 << 62)))
+        scan_bounds=numpy.sort(random.normal(0, 1, 6)), triangles=int(random.integers(0, 1 << 62)),
+        trailer_version=None)  # an odd one, or that of what the grid has
 
 
 # ---- nodes ----
@@ -201,6 +202,7 @@ def _encode_trailer(grid, layout):
     version, flags = (3, 2) if grid.has_ids else (2, 0)
     if grid.words:
         version, flags = 4, flags + 4
+    version = grid.trailer_version or version
     trailer = struct.pack("<IIQQ6d", version, flags + int(grid.has_color), grid.triangles,
                          layout.second_count, *grid.scan_bounds).ljust(160, b"\0")
     return b"BISQUE\r\n" + trailer + struct.pack("<QQQ", layout.name_bytes, 0, 0)
@@ -317,13 +319,17 @@ def _odd_list(random, grid):
         grid.values = numpy.zeros((len(grid.normal), grid.words), "<f4")
 
 
+def _odd_trailer_version(random, grid):
+    grid.trailer_version = int(random.integers(1, 6))
+
+
 def _odd_marks(random, grid):
     at = random.integers(0, len(grid.has_second))
     grid.has_second[at] ^= 1
 
 
 ODD = [_odd_transform, _odd_translation, _odd_scan_bounds, _odd_normal, _odd_plane, _odd_color,
-       _odd_id, _odd_names, _odd_values, _odd_list, _odd_marks]
+       _odd_id, _odd_names, _odd_values, _odd_list, _odd_trailer_version, _odd_marks]
 
 
 def make_odd(random, grid):

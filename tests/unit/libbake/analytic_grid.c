@@ -1,7 +1,7 @@
 /* analytic_grid.c - collects samples in a hash table of voxels. Aborts without memory. */
 #include "tests/unit/libbake/analytic_grid.h"
-#include "tests/grid_lookup.h"
 #include "tests/unit/fixture.h"
+#include "tests/unit/formats/grid/nvdb_scene.h"
 
 #include "base/geometry/vec.h"
 
@@ -132,87 +132,29 @@ static struct fmt_nvdb_record record_of(const struct sheet *sheet, bool has_seco
     return record;
 }
 
-/* Compares by the order of the file: root tile, region, leaf, voxel; in each by x, y, z. */
-static int compare_cells(const void *a, const void *b)
-{
-    const int32_t *p = (*(const struct cell *const *)a)->at;
-    const int32_t *q = (*(const struct cell *const *)b)->at;
-    static const int shifts[4] = {12, 7, 3, 0};
-    for (int level = 0; level < 4; level++)
-        for (int k = 0; k < 3; k++) {
-            uint32_t u = (uint32_t)p[k] >> shifts[level], v = (uint32_t)q[k] >> shifts[level];
-            if (u != v)
-                return u < v ? -1 : 1;
-        }
-    return 0;
-}
-
-static bool same_node(const struct cell *a, const struct cell *b, int shift)
-{
-    return a->at[0] >> shift == b->at[0] >> shift && a->at[1] >> shift == b->at[1] >> shift &&
-           a->at[2] >> shift == b->at[2] >> shift;
-}
-
-static void append_region(struct fmt_nvdb_writer *writer, struct cell *const *cells, uint64_t count,
-                          bool has_color, uint32_t facet_noise)
-{
-    struct fmt_nvdb_record *records = must(calloc(count, sizeof *records));
-    struct fmt_nvdb_record *second = must(calloc(count, sizeof *second));
-    uint16_t *leaf_ids = must(calloc(count, sizeof *leaf_ids));
-    uint64_t(*masks)[8] = must(calloc(count, sizeof *masks));
-    struct fmt_nvdb_region region = {.record_count = count,
-                                     .records = records,
-                                     .second = second,
-                                     .leaf_ids = leaf_ids,
-                                     .masks = (const uint64_t(*)[8])masks};
-    for (int k = 0; k < 3; k++)
-        region.origin[k] = cells[0]->at[k] & ~127;
-    for (uint64_t i = 0; i < count; i++) {
-        const int32_t *at = cells[i]->at;
-        bool has_second = cells[i]->sheets[1].area > 0;
-        if (i == 0 || !same_node(cells[i - 1], cells[i], 3))
-            leaf_ids[region.leaf_count++] =
-                (uint16_t)((at[0] >> 3 & 15) << 8 | (at[1] >> 3 & 15) << 4 | (at[2] >> 3 & 15));
-        masks[region.leaf_count - 1][at[0] & 7] |= UINT64_C(1) << ((at[1] & 7) << 3 | (at[2] & 7));
-        records[i] = record_of(&cells[i]->sheets[0], has_second, has_color);
-        if (has_second)
-            second[region.second_count++] = record_of(&cells[i]->sheets[1], false, has_color);
-        records[i].plane |= facet_noise << FMT_NVDB_FACET_NOISE_SHIFT;
-    }
-    if (fmt_nvdb_append(writer, &region) < 0)
-        abort();
-    free(records);
-    free(second);
-    free(leaf_ids);
-    free(masks);
-}
-
 void analytic_grid_write(const struct analytic_grid *grid, bool has_color, const char *path)
 {
-    struct fmt_nvdb_info info = {.type = FMT_NVDB_MASK, .voxel_size = 1, .has_color = has_color};
-    struct fmt_nvdb_writer *writer;
+    struct scene scene = {.info = {.type = FMT_NVDB_MASK, .voxel_size = 1, .has_color = has_color},
+                          .voxels = must(calloc(grid->count, sizeof *scene.voxels))};
     struct fmt_nvdb_totals totals;
-    struct cell **cells = must(calloc(grid->count, sizeof *cells));
-    uint64_t count = 0;
-
-    for (uint64_t i = 0; i < grid->capacity; i++)
-        if (grid->cells[i].used)
-            cells[count++] = &grid->cells[i];
-    qsort(cells, count, sizeof *cells, compare_cells);
-    for (int k = 0; k < 3; k++) {
-        info.scan_min[k] = grid->min[k];
-        info.scan_max[k] = grid->max[k];
+    for (uint64_t i = 0; i < grid->capacity; i++) {
+        const struct cell *cell = &grid->cells[i];
+        if (!cell->used)
+            continue;
+        struct scene_voxel *voxel = &scene.voxels[scene.count++];
+        const bool has_second = cell->sheets[1].area > 0;
+        memcpy(voxel->ijk, cell->at, sizeof voxel->ijk);
+        voxel->first = record_of(&cell->sheets[0], has_second, has_color);
+        voxel->first.plane |= grid->facet_noise << FMT_NVDB_FACET_NOISE_SHIFT;
+        if (has_second)
+            voxel->second = record_of(&cell->sheets[1], false, has_color);
     }
+    scene_sort(&scene);
+    memcpy(scene.info.scan_min, grid->min, sizeof grid->min);
+    memcpy(scene.info.scan_max, grid->max, sizeof grid->max);
     struct bsq_ctx *ctx = test_context(1, 0);
-    if (fmt_nvdb_create(ctx, path, &info, &writer) < 0)
-        abort();
-    for (uint64_t begin = 0, end; begin < count; begin = end) {
-        for (end = begin; end < count && same_node(cells[begin], cells[end], 7);)
-            end++;
-        append_region(writer, cells + begin, end - begin, has_color, grid->facet_noise);
-    }
-    assert_int_equal(grid_commit(writer, &totals), 0);
-    free(cells);
+    assert_int_equal(scene_write(ctx, path, &scene, &totals), 0);
+    scene_free(&scene);
     test_context_end(ctx);
 }
 

@@ -1,11 +1,11 @@
-/* test_tris.c - chunk files: round trips and the bytes of FORMATS.md. */
+/* test_tris.c - chunk files come back as they were written. tests/cli/test_formats.sh and
+ * test_oracle.sh read their bytes by FORMATS.md alone. */
 #include "tris_samples.h"
 
 #include "formats/file_kind.h"
 #include "tests/unit/test.h"
 
 #include <math.h>
-#include <xxhash.h>
 
 #define FIXTURE_TEST(name) STATE_TEST(name, struct tris_fixture, tris_setup, tris_teardown)
 
@@ -198,164 +198,6 @@ FIXTURE_TEST(a_file_without_chunks_is_valid)
 {
     tris_write_samples(f, 0, 0);
     expect_file(f, 0);
-}
-
-/* ---- bytes at the offsets of FORMATS.md ---- */
-
-static uint32_t u32_at(const uint8_t *bytes, size_t at)
-{
-    return (uint32_t)(bytes[at] | bytes[at + 1] << 8 | bytes[at + 2] << 16) |
-           (uint32_t)bytes[at + 3] << 24;
-}
-
-static float f32_at(const uint8_t *bytes, size_t at)
-{
-    uint32_t bits = u32_at(bytes, at);
-    float value;
-    memcpy(&value, &bits, 4);
-    return value;
-}
-
-FIXTURE_TEST(bytes_are_those_of_the_specification)
-{
-    struct tris_sample *s = f->samples[0];
-    size_t size;
-    tris_fill(s, 15, 5, 7, 4);
-    tris_write_samples(f, 15, 1);
-    uint8_t *b = test_read(tris_path, &size);
-    assert_memory_equal(b, "\x42\x53\x51\x54\x52\x49\x53\x0a", 8);
-    assert_int_equal(u32_at(b, 8), 7);
-    assert_int_equal(u32_at(b, 12), 15);
-    assert_int_equal(tris_u64_at(b, 16), 5);
-    assert_int_equal(tris_u64_at(b, 24), 1);
-    assert_int_equal(tris_u64_at(b, 32), 77);
-    assert_int_equal(tris_u64_at(b, 40), 5);
-    assert_int_equal(tris_u64_at(b, 48), 0x411f400000000000u); /* 512000.0 */
-    size_t chunk_bytes = 7 * (12 + 4 + 8 + 4) + 5 * 4 + 5 * 6;
-    chunk_bytes += (8 - chunk_bytes % 8) % 8;
-    size_t materials = 176 + chunk_bytes, table = materials + 36 + 15 + 4 + 36 + 4;
-    table += (8 - table % 8) % 8;
-    assert_int_equal(tris_u64_at(b, 96), 176);
-    assert_int_equal(tris_u64_at(b, 104), materials);
-    assert_int_equal(tris_u64_at(b, 112), table);
-    assert_int_equal(tris_u64_at(b, 120), size);
-    assert_int_equal(size, table + 104);
-    assert_int_equal(u32_at(b, 128), 2);
-    assert_int_equal(u32_at(b, 132), 0);
-    assert_int_equal(tris_u64_at(b, 136), 0);
-    assert_true(tris_u64_at(b, 144) == XXH3_64bits(b, 0));
-    assert_true(tris_u64_at(b, 152) == XXH3_64bits(b + materials, table - materials));
-    assert_true(tris_u64_at(b, 160) == XXH3_64bits(b + table, 104));
-    assert_true(tris_u64_at(b, 168) == XXH3_64bits(b, 168));
-    for (uint32_t v = 0; v < 7; v++) {
-        for (size_t axis = 0; axis < 3; axis++)
-            assert_true(f32_at(b, 176 + 12 * v + 4 * axis) == s->positions[v][axis]);
-        assert_int_equal(u32_at(b, 260 + 4 * v), s->normals[v]);
-        assert_true(f32_at(b, 288 + 8 * v) == s->texcoords[v][0]);
-        assert_true(f32_at(b, 292 + 8 * v) == s->texcoords[v][1]);
-        assert_int_equal(u32_at(b, 344 + 4 * v), s->colors[v]);
-    }
-    for (uint32_t t = 0; t < 5; t++) {
-        assert_int_equal(u32_at(b, 372 + 4 * t), s->materials[t]);
-        for (size_t k = 0; k < 3; k++)
-            assert_int_equal(b[392 + 6 * t + 2 * k] | b[393 + 6 * t + 2 * k] << 8,
-                             s->triangles[t][k]);
-    }
-    assert_true(f32_at(b, materials + 4) == 0.5f);
-    assert_true(f32_at(b, materials + 16) == 1 && f32_at(b, materials + 24) == 0);
-    assert_int_equal(u32_at(b, materials + 32), 15);
-    assert_memory_equal(b + materials + 36, "/a dir/wall.png", 15);
-    assert_int_equal(u32_at(b, materials + 51), 0);
-    assert_int_equal(u32_at(b, materials + 55 + 32), 0xffffffffu);
-    assert_int_equal(tris_u64_at(b, table), 176);
-    assert_int_equal(tris_u64_at(b, table + 8), chunk_bytes);
-    assert_int_equal(tris_u64_at(b, table + 16), 0);
-    assert_int_equal(u32_at(b, table + 24), 5);
-    assert_int_equal(u32_at(b, table + 28), 7);
-    assert_true(tris_u64_at(b, table + 56) == XXH3_64bits(b + 176, chunk_bytes));
-    for (size_t at = 64; at < 104; at += 8)
-        assert_int_equal(tris_u64_at(b, table + at), 0);
-    free(b);
-}
-
-FIXTURE_TEST(bytes_of_made_normals_are_those_of_the_specification)
-{
-    size_t size;
-    uint8_t *b = tris_write_normals(f, &size);
-    const size_t chunks = tris_u64_at(b, 96), materials = tris_u64_at(b, 104),
-                 table = tris_u64_at(b, 112), first = tris_u64_at(b, table + 72);
-    assert_int_equal(u32_at(b, 140), BSQ_SCAN_NORMALS_ANGLE);
-    assert_int_equal(first, chunks + tris_u64_at(b, table + 8) + tris_u64_at(b, table + 104 + 8));
-    assert_int_equal(tris_u64_at(b, table + 104 + 72), first + 8 * 7);
-    assert_int_equal(tris_u64_at(b, table + 80), first + 8 * 7 + 8 * 9);
-    assert_int_equal(tris_u64_at(b, table + 104 + 80), first + 8 * 7 + 8 * 9);
-    assert_int_equal(u32_at(b, table + 96), 0);
-    assert_int_equal(u32_at(b, table + 104 + 96), 2);
-    assert_int_equal(materials, first + 8 * (7 + 9) + 2 * 16);
-    for (uint32_t v = 0; v < 7; v++)
-        assert_true(tris_u64_at(b, first + 8 * v) == tris_made_normal(0, v));
-    const size_t creases = first + 8 * (7 + 9);
-    assert_int_equal(u32_at(b, creases), 1);
-    assert_int_equal(u32_at(b, creases + 4), 0);
-    assert_true(tris_u64_at(b, creases + 8) == tris_made_normal(2, 1));
-    assert_int_equal(u32_at(b, creases + 16), 8);
-    /* Those of the second chunk's vertices and its creases follow each other here. */
-    assert_true(tris_u64_at(b, table + 88) == XXH3_64bits(b + first, 8 * 7));
-    assert_true(tris_u64_at(b, table + 104 + 88) == XXH3_64bits(b + first + 8 * 7, 8 * 9 + 2 * 16));
-    struct fmt_tris_file *file;
-    struct fmt_tris_normals normals;
-    uint64_t scratch[64];
-    assert_int_equal(fmt_tris_open(f->ctx, tris_path, &file), 0);
-    assert_int_equal(fmt_tris_get_header(file)->made_normals, BSQ_SCAN_NORMALS_ANGLE);
-    assert_int_equal(fmt_tris_normals_size_max(file), 8 * 9 + 2 * 16);
-    assert_int_equal(fmt_tris_verify(file, NULL), 0);
-    assert_int_equal(fmt_tris_load_normals(file, 1, scratch, &normals), 0);
-    assert_int_equal(normals.crease_count, 2);
-    assert_true(normals.vertices[3] == tris_made_normal(1, 3));
-    assert_int_equal(normals.creases[1].vertex, 8);
-    fmt_tris_close(file);
-    free(b);
-}
-
-FIXTURE_TEST(names_of_ids_come_back)
-{
-    static const char *const names[] = {"body", "", "gl\xc3\xa4s"};
-    struct fmt_tris_file *file;
-    size_t size;
-    uint8_t *bytes = tris_write_ids(f, &size);
-    assert_int_equal(fmt_tris_open(f->ctx, tris_path, &file), 0);
-    const struct fmt_tris_header *h = fmt_tris_get_header(file);
-    assert_int_equal(h->ids, FMT_IDS_OBJECT);
-    assert_int_equal(h->material_count, 3);
-    for (int i = 0; i < 3; i++) {
-        assert_string_equal(h->materials[i].name, names[i]);
-        assert_int_equal(h->materials[i].colorless, i == 1);
-        assert_int_equal(h->materials[i].texture_path != NULL, i == 0);
-    }
-    fmt_tris_close(file);
-    free(bytes);
-}
-
-FIXTURE_TEST(channels_come_back)
-{
-    struct fmt_tris_file *file;
-    size_t size;
-    uint8_t *bytes = tris_write_channels(f, &size);
-    assert_int_equal(fmt_tris_open(f->ctx, tris_path, &file), 0);
-    const struct fmt_tris_header *h = fmt_tris_get_header(file);
-    assert_int_equal(h->ids, FMT_IDS_NONE);
-    assert_int_equal(fmt_tris_find_channel(h, "b_2"), 1);
-    assert_int_equal(fmt_tris_find_channel(h, "b"), UINT32_MAX);
-    const struct fmt_tris_source *first = h->materials[0].sources,
-                                 *second = h->materials[1].sources;
-    assert_true(first[0].value[0] == 0.25f && !first[0].texture_path && !first[0].uv.moves);
-    assert_string_equal(first[1].texture_path, "/e.png");
-    assert_int_equal(first[1].component, 2);
-    assert_true(first[1].uv.moves && first[1].uv.scale[0] == 2 && first[1].uv.offset[1] == -0.5f);
-    assert_string_equal(second[0].texture_path, "/r.png");
-    assert_true(second[1].value[2] == 3);
-    fmt_tris_close(file);
-    free(bytes);
 }
 
 FIXTURE_TEST(factors_and_wrap_modes_come_back)

@@ -147,38 +147,3 @@ uint64_t tris_u64_at(const uint8_t *bytes, size_t at)
         value = value << 8 | bytes[at + (size_t)i];
     return value;
 }
-
-uint8_t *tris_write_ids(struct tris_fixture *f, size_t *size)
-{
-    struct fmt_tris_material materials[] = {
-        {.texture_path = (char *)"/a.png", .name = (char *)"body"},
-        {.colorless = true, .name = NULL},
-        {.diffuse = {0.5f, 0, 1}, .name = (char *)"gl\xc3\xa4s"}};
-    const struct fmt_tris_header header = {
-        .material_count = 3, .materials = materials, .ids = FMT_IDS_OBJECT};
-    struct fmt_tris_writer *writer;
-    assert_int_equal(fmt_tris_create(f->ctx, tris_path, &header, &writer), 0);
-    assert_int_equal(fmt_tris_commit(writer, NULL), 0);
-    return test_read(tris_path, size);
-}
-
-uint8_t *tris_write_channels(struct tris_fixture *f, size_t *size)
-{
-    struct fmt_tris_source sources[] = {
-        {.value = {0.25f, 0.25f, 0.25f}},
-        {.texture_path = (char *)"/e.png",
-         .value = {1, 1, 1},
-         .component = 2,
-         .uv = {.moves = true, .scale = {2, 1}, .offset = {0, -0.5f}}},
-        {.texture_path = (char *)"/r.png", .value = {1, 1, 1}},
-        {.value = {1, 2, 3}}};
-    struct fmt_tris_material materials[] = {
-        {.sources = sources}, {.sources = sources + 2, .texture_path = (char *)"/a.png"}};
-    char *channels[] = {(char *)"roughness", (char *)"b_2"};
-    const struct fmt_tris_header header = {
-        .material_count = 2, .materials = materials, .channel_count = 2, .channels = channels};
-    struct fmt_tris_writer *writer;
-    assert_int_equal(fmt_tris_create(f->ctx, tris_path, &header, &writer), 0);
-    assert_int_equal(fmt_tris_commit(writer, NULL), 0);
-    return test_read(tris_path, size);
-}

@@ -35,14 +35,6 @@ void tris_fill(struct tris_sample *s, uint32_t attributes, uint32_t triangles, u
 /* Writes the first samples of a fixture as the chunks of tris_path. */
 void tris_write_samples(struct tris_fixture *f, uint32_t attributes, uint32_t chunk_count);
 
-/* Writes a file without chunks that has ids by object, and returns its bytes, which the caller
- * frees. */
-uint8_t *tris_write_ids(struct tris_fixture *f, size_t *size);
-
-/* Writes a file without chunks that has two channels, and returns its bytes, which the caller
- * frees. */
-uint8_t *tris_write_channels(struct tris_fixture *f, size_t *size);
-
 /* Writes a file of two chunks, of 7 and 9 vertices, with made normals by angle: tris_made_normal()
  * of the chunk's number and the vertex. The second chunk has creases at vertices 1 and 8, for which
  * 2 stands for the chunk. Returns its bytes, which the caller frees. */

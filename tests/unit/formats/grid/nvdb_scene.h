@@ -15,26 +15,16 @@ struct scene_voxel {
 
 struct scene {
     struct fmt_nvdb_info info;
-    uint64_t count, second_count;
+    uint64_t count;
     struct scene_voxel *voxels; /* in the order of the file */
 };
 
 /* Makes about `per_cluster` voxels around each of several points: in several root tiles, with both
- * signs, at borders of nodes and, with `extremes`, at the ends of the coordinate range. */
-void scene_random(struct scene *scene, uint64_t seed, unsigned per_cluster, bool extremes);
+ * signs, at borders of nodes. */
+void scene_random(struct scene *scene, uint64_t seed, unsigned per_cluster);
 /* Sorts voxels into the order of the file, and keeps the first of several at one position. */
 void scene_sort(struct scene *scene);
 void scene_free(struct scene *scene);
-
-/* Returns the index of a voxel in scene->voxels, or UINT64_MAX. */
-uint64_t scene_find(const struct scene *scene, const int32_t ijk[3]);
-
-/* Returns the number of nodes with this edge length. */
-uint64_t scene_nodes(const struct scene *scene, int32_t dim);
-
-/* Returns value k of the channels of a voxel's first or second record, if the scene's info has
- * channels. */
-float scene_channel(const int32_t ijk[3], uint32_t k, bool second);
 
 /* Writes the scene as a grid of this type. */
 int scene_write(struct bsq_ctx *ctx, const char *path, const struct scene *scene,

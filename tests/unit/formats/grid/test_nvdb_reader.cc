@@ -158,7 +158,7 @@ template <typename GridT> uint64_t count_active(const GridT &grid)
 TEST(test_mask_grid)
 {
     scene scene;
-    scene_random(&scene, 21, 3000, false);
+    scene_random(&scene, 21, 3000);
     write_scene(scene);
     auto meta = nanovdb::io::readGridMetaData(path);
     assert_int_equal(meta.size(), 1);
@@ -187,11 +187,34 @@ TEST(test_mask_grid)
     scene_free(&scene);
 }
 
+// All voxels of two leaves in two lower nodes are set: full masks, and second records for all.
+TEST(test_full_leaves)
+{
+    scene scene;
+    scene_random(&scene, 9, 1);
+    std::free(scene.voxels);
+    scene.count = 1024;
+    scene.voxels = static_cast<scene_voxel *>(std::calloc(scene.count, sizeof *scene.voxels));
+    for (uint64_t i = 0; i < scene.count; i++) {
+        scene_voxel &v = scene.voxels[i];
+        v.ijk[0] = int32_t(i / 64 % 8);
+        v.ijk[1] = int32_t(i / 8 % 8);
+        v.ijk[2] = int32_t(i % 8) + 120 + int32_t(i / 512) * 8;
+        v.first.plane = FMT_NVDB_PLANE_SECOND;
+        v.first.normal = uint32_t(i);
+        v.second.normal = uint32_t(i + 5000);
+    }
+    write_scene(scene);
+    auto handle = nanovdb::io::readGrid(path);
+    compare_voxels(*handle.grid<nanovdb::ValueMask>(), scene);
+    scene_free(&scene);
+}
+
 // NanoVDB computes the bounding boxes of all nodes again: no byte may change.
 TEST(test_bounds)
 {
     scene scene;
-    scene_random(&scene, 22, 2000, false);
+    scene_random(&scene, 22, 2000);
     write_scene(scene);
     auto handle = nanovdb::io::readGrid(path);
     std::vector<uint8_t> before(handle.data(), handle.data() + handle.size());
@@ -207,7 +230,7 @@ TEST(test_bounds)
 TEST(test_onindex_grid)
 {
     scene scene;
-    scene_random(&scene, 23, 2000, false);
+    scene_random(&scene, 23, 2000);
     scene.info.type = FMT_NVDB_ONINDEX;
     write_scene(scene);
     std::ifstream file(path, std::ios::binary);
@@ -240,7 +263,7 @@ openvdb::MaskGrid::Ptr to_openvdb(const scene &scene)
 TEST(test_same_nodes_as_converter)
 {
     scene scene;
-    scene_random(&scene, 24, 2000, false);
+    scene_random(&scene, 24, 2000);
     uint64_t kept = 0;
     for (uint64_t i = 0; i < scene.count; i++) {
         const int32_t *ijk = scene.voxels[i].ijk;
@@ -288,7 +311,7 @@ TEST(test_other_grids)
 
     // A mask grid without Bisque's channels; the second name is as long as Bisque's.
     scene scene;
-    scene_random(&scene, 25, 50, false);
+    scene_random(&scene, 25, 50);
     for (const char *name : {"surface", "exactly_31_characters_long_name"}) {
         auto grid = to_openvdb(scene);
         grid->setName(name);

@@ -40,7 +40,7 @@ bsq_ctx *new_context(uint64_t memory)
 // Writes a random grid and exports it.
 int write_and_export(bsq_ctx *ctx, scene &scene, uint64_t seed, bool color)
 {
-    scene_random(&scene, seed, 3000, false);
+    scene_random(&scene, seed, 3000);
     scene.info.has_color = color;
     for (uint64_t i = 0; i < scene.count; i++) {
         const int32_t *p = scene.voxels[i].ijk;
