@@ -3,9 +3,9 @@
 
 usage: combine.py [--seed TEXT] [--trials N] [--first I] [--seconds S] [--jobs N] [--keep DIRECTORY]
 
-Each trial makes grids, simplifies a scan and bakes maps: each once, and again with other threads and
-budgets, in another order, without options that should not matter, through a pipe, from chunk files, as
-tasks in random order, and on devices. A failure is reduced to few options and printed as commands;
+Each trial makes grids, simplifies a scan and bakes maps: each once, and again with other threads,
+instructions and budgets, in another order, without options that should not matter, through a pipe, from
+chunk files, as tasks in random order, and on devices. A failure is reduced to few options and printed as commands;
 its files are kept. A table at the end says how often each way ran. Options come from the programs
 (`--list-options`), so new ones take part. BIN and TESTS are the directories of the programs and of
 the test programs.
@@ -212,7 +212,9 @@ class Simplification(Job):
 
 
 def other_threads(runner, job, base, rng):
-    code, _ = job.run(runner, ["--threads", "%d" % rng.choice([1, 2, 3, 5, 8])])
+    """Other instructions, too, of those that this processor has."""
+    level = {"BSQ_SIMD": rng.choice(["sse4.2", "avx2", "avx512"])}
+    code, _ = job.run(runner, ["--threads", "%d" % rng.choice([1, 2, 3, 5, 8])], environment=level)
     expect_same(code, job.files(runner), base)
 
 
