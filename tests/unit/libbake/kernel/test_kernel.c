@@ -7,8 +7,6 @@
 #include "tests/unit/libbake/analytic_grid.h"
 #include "tests/grid_lookup.h"
 
-#define PI 3.14159265358979323846
-
 SHARED_CONTEXT(context, 0)
 
 /* ---- parts ---- */
@@ -63,110 +61,6 @@ TEST(test_tangent_space)
         assert_true(fabsf(bk_dotw(m, m) - 1) < 1e-5f);
         assert_true(analytic_degrees(target, back) < 0.01);
     }
-}
-
-/* Rounds to half precision: eleven significant bits, steps of 2^-24 below the normal range. */
-static double to_half(double x)
-{
-    int exponent;
-    frexp(x, &exponent);
-    int step = exponent - 11 < -24 ? -24 : exponent - 11;
-    return ldexp(nearbyint(ldexp(x, -step)), step);
-}
-
-/* Makes a triangle with a frame at each corner: all alike and orthogonal, or spread as on a coarse
- * low-poly mesh. */
-static bk_triangle framed_triangle(uint64_t *seed, bool alike, float handedness)
-{
-    bk_triangle triangle = {.b1 = {1, 0, 0}, .b2 = {0, 1, 0}};
-    double up[3], n[3], t[3];
-    analytic_random_unit(seed, up);
-    for (int corner = 0; corner < 3; corner++) {
-        if (corner == 0 || !alike) {
-            double dot = 0, lengths[2] = {0, 0};
-            analytic_random_unit(seed, n);
-            analytic_random_unit(seed, t);
-            for (int k = 0; k < 3; k++) {
-                n[k] = up[k] + 0.6 * n[k];
-                lengths[0] += n[k] * n[k];
-                dot += n[k] * t[k];
-            }
-            for (int k = 0; k < 3; k++) {
-                t[k] -= dot / lengths[0] * n[k];
-                lengths[1] += t[k] * t[k];
-            }
-            for (int k = 0; k < 3; k++) {
-                n[k] /= sqrt(lengths[0]);
-                t[k] /= sqrt(lengths[1]);
-            }
-        }
-        for (int k = 0; k < 3; k++) {
-            triangle.direction[corner][k] = triangle.normal[corner][k] = (float)n[k];
-            triangle.tangent[corner][k] = (float)t[k];
-        }
-        triangle.tangent[corner][3] = handedness;
-    }
-    return triangle;
-}
-
-/* Computes columns T, B, N of the shader's frame at weights w: interpolated, not normalised. */
-static void shader_frame(const bk_triangle *triangle, const double w[3], double frame[3][3])
-{
-    for (int k = 0; k < 3; k++) {
-        frame[0][k] = frame[2][k] = 0;
-        for (int corner = 0; corner < 3; corner++) {
-            frame[0][k] += w[corner] * (double)triangle->tangent[corner][k];
-            frame[2][k] += w[corner] * (double)triangle->normal[corner][k];
-        }
-    }
-    for (int k = 0; k < 3; k++) {
-        int p = (k + 1) % 3, q = (k + 2) % 3;
-        frame[1][k] = (double)triangle->tangent[0][3] *
-                      (frame[2][p] * frame[0][q] - frame[2][q] * frame[0][p]);
-    }
-}
-
-/* A shader gets the normal back from a half-float map n / 2 + 1/2. Halves between 1/2 and 1 are
- * rounded by at most 2^-12, so m is off by at most sqrt(3) 2^-11: 0.0485 degrees in an orthogonal
- * frame. Another frame may stretch the error more than the normal; the limit grows by that factor.
- */
-TEST(test_tangent_space_of_halves)
-{
-    const double rounding = sqrt(3) / 2048;
-    uint64_t seed = test_seed();
-    int mirrored = 0, skewed = 0;
-    for (int i = 0; i < 100000; i++) {
-        const bool alike = i & 2;
-        const bk_triangle triangle = framed_triangle(&seed, alike, i & 1 ? 1.0f : -1.0f);
-        double target[3], w[3], frame[3][3], found[3] = {0, 0, 0}, size = 0, length = 0;
-        analytic_random_unit(&seed, target);
-        w[1] = analytic_random(&seed);
-        w[2] = analytic_random(&seed) * (1 - w[1]);
-        w[0] = 1 - w[1] - w[2];
-        shader_frame(&triangle, w, frame);
-        const bk_point point = bk_point_at(&triangle, (float)w[1], (float)w[2]);
-        if (!(bk_dotw(point.tangent, point.tangent) > 0.04f))
-            continue; /* opposite tangents: no frame */
-        const bk_vec3w m = bk_to_tangent_space(
-            &point, bk_v3w((float)target[0], (float)target[1], (float)target[2]));
-        const double value[3] = {(double)m.x, (double)m.y, (double)m.z};
-        for (int axis = 0; axis < 3; axis++) {
-            const double read = 2 * to_half(value[axis] / 2 + 0.5) - 1;
-            for (int k = 0; k < 3; k++) {
-                found[k] += read * frame[axis][k];
-                size += frame[axis][k] * frame[axis][k];
-            }
-        }
-        for (int k = 0; k < 3; k++)
-            length += found[k] * found[k];
-        const double stretch = alike ? 1 : sqrt(size / length);
-        const float back[3] = {(float)found[0], (float)found[1], (float)found[2]};
-        const double limit = asin(fmin(rounding * stretch * 1.01, 1)) * 180 / PI + 1e-3;
-        assert_true(analytic_degrees(target, back) <= limit);
-        mirrored += triangle.tangent[0][3] < 0;
-        skewed += !alike;
-    }
-    assert_true(mirrored > 40000 && skewed > 40000);
 }
 
 /* ---- random grids against naive lookups and walks ---- */
