@@ -34,7 +34,6 @@ data = {name: colors[:, i] for i, name in enumerate(("red", "green", "blue"))}
 meshio.Mesh(points, cells).write("plain.meshio.ply", binary=True)
 meshio.Mesh(points, cells).write("plain.meshio.text.ply", binary=False)
 meshio.Mesh(points, cells).write("plain.meshio.stl", binary=True)
-meshio.Mesh(points, cells).write("plain.meshio.text.stl", binary=False)
 meshio.Mesh(points, cells, point_data=data).write("colors.meshio.ply", binary=True)
 
 vertex = numpy.array(
@@ -54,7 +53,6 @@ plyfile.PlyData(elements, text=True).write("colors.plyfile.text.ply")
 solid = stl.mesh.Mesh(numpy.zeros(len(triangles), dtype=stl.mesh.Mesh.dtype))
 solid.vectors = points[triangles].astype(numpy.float32)
 solid.save("plain.numpy.stl", mode=stl.Mode.BINARY)
-solid.save("plain.numpy.text.stl", mode=stl.Mode.ASCII)
 
 # MeshLab gives each vertex a quality. Faces are blue and red by turns.
 faces = numpy.array([(i % 2, 0, 1 - i % 2, 1) for i in range(len(triangles))], float)

@@ -83,10 +83,9 @@ def export(color, *names):
             bpy.ops.wm.ply_export(filepath=name, export_colors="NONE", export_uv=False,
                                   ascii_format=".text." in name, **axes)
         else:
-            bpy.ops.wm.stl_export(filepath=name, ascii_format=".text." in name, **axes)
+            bpy.ops.wm.stl_export(filepath=name, **axes)
 
 
 # No PLY file has colours, because Blender rounds most of them down.
-export(False, "plain.blender.obj", "plain.blender.ply", "plain.blender.text.ply",
-       "plain.blender.stl", "plain.blender.text.stl")
+export(False, "plain.blender.obj", "plain.blender.ply", "plain.blender.text.ply", "plain.blender.stl")
 export(True, "colors.blender.obj")
