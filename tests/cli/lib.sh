@@ -239,6 +239,15 @@ sanitized()
     ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'
 }
 
+# unsanitized NAME WHY: skips the rest of the test if the programs are built with a sanitizer.
+unsanitized()
+{
+    sanitized || return 0
+    skip "$1" "$2"
+    finish
+    exit
+}
+
 # has_opencl: true if there is a device opencl:0.
 has_opencl()
 {

@@ -2,15 +2,12 @@
 # test_accuracy.sh - errors of maps: thin plates, exact maps compared with a formula and with
 # voxels, tangent space compared with object space.
 . "$(dirname "$0")/lib.sh"
+unsanitized "errors of maps" "they would need large scans; other tests run this code under sanitizers"
 
 # accurate NAME CHECKER ARGUMENT...: the results are within the checker's limits.
 accurate()
 {
     name=$1 checker=$2
-    if sanitized; then
-        skip "$name" "the scan is smaller under sanitizers"
-        return
-    fi
     shift 2
     command="$checker $*" code=0
     "$TESTS/$checker" "$@" >"$out" 2>"$err" || code=$?
@@ -101,13 +98,9 @@ json '.mean > 30'
 # ---- the vase: exact maps and the formula, voxels and exact maps ----
 # The finest wave of its relief is 13 triangles long.
 
-triangles=3000000 resolution=1024
-if sanitized; then
-    triangles=150000 resolution=229
-fi
-"$TESTS/generate-scan" --triangles $triangles --normals vase -o vase.obj
+"$TESTS/generate-scan" --triangles 3000000 --normals vase -o vase.obj
 "$TESTS/generate-scan" vase-low -o low.obj
-ok run bisque-voxelize vase.obj -o vase.nvdb --resolution $resolution
+ok run bisque-voxelize vase.obj -o vase.nvdb --resolution 1024
 options="--maps normal,mask --size 256 --samples 2 --normal space=object --type float"
 ok run bisque-bake vase.tris low.obj $options -o 'exact_<MAP>.exr'
 accurate "exact maps have the formula's normals" check-vase -s 2 -e 7 -m 0.2 -p 0.5 -h 1 exact_normal.exr \
@@ -119,7 +112,7 @@ for setting in "--threads 1 --memory 96M" "--threads 3 --memory 1G"; do
 done
 ok run bisque-bake vase.nvdb low.obj $options -o 'voxel_<MAP>.exr'
 # A texel is 6 voxels wide; the limit is the goal for voxels of at most half a texel.
-sanitized || within "voxels against exact maps" voxel_normal.exr exact_normal.exr --mask-a voxel_mask.exr \
+within "voxels against exact maps" voxel_normal.exr exact_normal.exr --mask-a voxel_mask.exr \
     --mask-b exact_mask.exr --max-mean 0.4 --max-p95 1 --max-p99 1.5 --min-agreement 0.999
 
 # ---- secondary rays: voxels and exact maps; errors are those of rays that start a voxel higher ----
@@ -128,13 +121,8 @@ around="--maps ao,thickness,mask --size 64 --samples 1 --rays ao=32 --rays thick
 for scan in tris nvdb; do
     ok run bisque-bake vase.$scan low.obj $around -o "${scan}_<MAP>.exr"
 done
-if sanitized; then
-    limits="0.02 0.005"
-else
-    limits="0.01 0.0025"
-fi
-within "ambient occlusion of voxels" nvdb_ao.exr tris_ao.exr --mask tris_mask.exr --max-mean "${limits% *}"
-within "thickness of voxels" nvdb_thickness.exr tris_thickness.exr --mask tris_mask.exr --max-mean "${limits#* }"
+within "ambient occlusion of voxels" nvdb_ao.exr tris_ao.exr --mask tris_mask.exr --max-mean 0.01
+within "thickness of voxels" nvdb_thickness.exr tris_thickness.exr --mask tris_mask.exr --max-mean 0.0025
 
 # ---- voxels of half a texel: 0.4 degrees, and a third of the nearest voxel's error ----
 

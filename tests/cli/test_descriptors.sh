@@ -22,9 +22,20 @@ warnings()
 }
 
 # all_combinations OUTPUT... -- PROGRAM ARGUMENT...: runs a job with every combination of closed
-# descriptors (with sanitizers, all closed at once), and with many lines for standard error. A report that cannot be printed is exit code
-# 74, else the code is 0.
+# descriptors, and with many lines for standard error; all_closed: with all of them closed. A report
+# that cannot be printed is exit code 74, else the code is 0.
 all_combinations()
+{
+    combinations='<&- >&- 2>&-'
+    sanitized || combinations="<&-,>&-,2>&-,<&- >&-,<&- 2>&-,>&- 2>&-,$combinations"
+    closed "$@"
+}
+all_closed()
+{
+    combinations='<&- >&- 2>&-'
+    closed "$@"
+}
+closed()
 {
     outputs=
     while [ "$1" != -- ]; do
@@ -37,8 +48,6 @@ all_combinations()
     [ -s "$err" ] || [ -z "$outputs" ] || [ "$1" = bisque-compare ]
     check "writes to standard error: $*" $?
     warnings >warnings.txt
-    combinations='<&- >&- 2>&-'
-    sanitized || combinations="<&-,>&-,2>&-,<&- >&-,<&- 2>&-,>&- 2>&-,$combinations"
     while [ -n "$combinations" ]; do
         closing=${combinations%%,*}
         combinations=${combinations#"$closing"}
@@ -79,20 +88,20 @@ all_combinations a.nvdb a.tris -- bisque-voxelize $grid
     echo 'P6 2048 2048 255'
     yes ABCDEFGHIJKL | head -c 12582912
 } >large.ppm
-all_combinations a.nvdb a.vdb -- bisque-voxelize $grid --no-tris --texture large.ppm --memory 64M --vdb a.vdb --json
+all_closed a.nvdb a.vdb -- bisque-voxelize $grid --no-tris --texture large.ppm --memory 64M --vdb a.vdb --json
 rm large.ppm
-all_combinations -- bisque-voxelize --parse-only scan.obj
+all_closed -- bisque-voxelize --parse-only scan.obj
 ok run bisque-voxelize scan.obj -o scan.nvdb --resolution 32
-all_combinations -- bisque-voxelize --verify scan.tris scan.nvdb
+all_closed -- bisque-voxelize --verify scan.tris scan.nvdb
 
 maps="low.obj --device cpu --size 32 --samples 1 --threads 2 --progress json"
 all_combinations a_normal.exr a_color.exr a.png -- bisque-bake scan.nvdb $maps --preview a.png -o 'a_<MAP>.exr'
-all_combinations a_normal.png a_mask.png -- bisque-bake scan.tris $maps --maps normal,mask --json -o 'a_<MAP>.png'
-all_combinations -- bisque-bake --list devices
+all_closed a_normal.png a_mask.png -- bisque-bake scan.tris $maps --maps normal,mask --json -o 'a_<MAP>.png'
+all_closed -- bisque-bake --list devices
 
 run bisque-bake scan.nvdb $maps --maps normal -o grid.exr
 run bisque-bake scan.tris $maps --maps normal -o exact.exr
 all_combinations heat.png -- bisque-compare grid.exr exact.exr --progress json --heatmap heat.png
-all_combinations -- bisque-compare --version
+all_closed -- bisque-compare --version
 
 finish

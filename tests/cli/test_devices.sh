@@ -178,7 +178,7 @@ fi
 # ---- caches ----
 
 # Programs keep no cache of kernels, so no file in a user's directories can mislead or block them.
-if ! ldd "$BIN/bisque-bake" | grep -q 'lib[at]san'; then
+if ! sanitized; then
     mkdir home
     devices=cpu
     [ ! -s "$ptx" ] || devices='cpu cuda'

@@ -4,11 +4,7 @@
 # LONG=1 repeats more runs.
 . "$(dirname "$0")/lib.sh"
 export FAULTS="$TESTS/faults.so"
-if ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'; then
-    skip "calls that fail" "sanitizers want to be loaded first"
-    finish
-    exit
-fi
+unsanitized "calls that fail" "sanitizers want to be loaded first"
 SEED=$(seed)
 # Runs that are killed, calls at which a run is killed or interrupted, and calls that fail in each
 # way, evenly spread over the run. With LONG=1 all calls of most jobs fail once.

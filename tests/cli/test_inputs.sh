@@ -100,7 +100,7 @@ rm hostile.obj pipe.png stream.png
 
 # Opening a module, or the program for a texture, at first starts eight threads to see that they can
 # be. A texture is read twice. No other thread is started for one worker.
-if ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'; then
+if sanitized; then
     skip "few threads" "sanitizers want to be loaded first"
 else
     printf 'P6\n1 1\n255\nabc' >abc.ppm

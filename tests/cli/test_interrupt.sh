@@ -81,6 +81,9 @@ write_comments()
     }' >comments.obj
 }
 
+signals="TERM INT HUP TERM INT HUP TERM" last=7
+sanitized && signals="TERM INT HUP" last=3
+
 # stops NAME LEAST PROGRAM ARGUMENT...: counts how often the program looks for an interruption, at
 # least LEAST times; then signals end it at some of these looks, evenly spread. It leaves nothing.
 stops()
@@ -92,8 +95,8 @@ stops()
     rm -f slow*
     all=$looks before=$(ls -A)
     holds "$name: it looks for an interruption $all times, at least $least" [ "$all" -ge "$least" ]
-    for signal in TERM INT HUP TERM INT HUP TERM; do
-        at_look $((1 + moment * (all - 1) / 7)) $signal '' "$@"
+    for signal in $signals; do
+        at_look $((1 + moment * (all - 1) / last)) $signal '' "$@"
         stopped
         holds "$name: nothing is left" [ "$(ls -A)" = "$before" ]
         moment=$((moment + 1))

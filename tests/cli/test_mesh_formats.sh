@@ -359,13 +359,6 @@ done
 run bisque-voxelize texture.ply -o a.nvdb --tris image.ppm
 refused 64 'bisque-voxelize: image.ppm: this output would overwrite the texture that texture.ply names'
 
-# A budget that puts vertices into a file.
-"$TESTS/generate-scan" --triangles 2000000 vase -o large.ply
-ok run bisque-voxelize large.ply -o large.nvdb --resolution 100
-ok run bisque-voxelize large.ply -o small.nvdb --resolution 100 --memory 64M --threads 1
-same large.nvdb small.nvdb
-same large.tris small.tris
-
 # Low-poly meshes.
 "$TESTS/generate-scan" --triangles 20000 --colors vase -o scan.ply
 run bisque-voxelize scan.ply -o scan.nvdb --resolution 100

@@ -4,15 +4,12 @@
 # maps.
 SCANS=$(cd "${SCANS:-../shared/scans}" 2>/dev/null && pwd) || SCANS=
 . "$(dirname "$0")/lib.sh"
+unsanitized "whole scans beside the truth" "they would need large scans; other tests run this code under sanitizers"
 
 # truth NAME CHECKER ARGUMENT...: the results are within the checker's limits.
 truth()
 {
     name=$1 command="$*"
-    if sanitized; then
-        skip "$name" "the scan is smaller under sanitizers"
-        return
-    fi
     shift
     "$TESTS/$@" >"$out" 2>"$err"
     code=$?
@@ -23,10 +20,6 @@ truth()
 # ---- the vase: two million triangles, about two voxels wide each ----
 
 triangles=2000000 resolution=768
-if sanitized; then
-    triangles=200000 resolution=243
-fi
-
 "$TESTS/generate-scan" --triangles $triangles --colors vase -o vase.obj
 "$TESTS/generate-scan" vase-low -o low.obj
 ok run bisque-voxelize vase.obj -o vase.nvdb --resolution $resolution
@@ -41,22 +34,14 @@ truth "vase: normals and colours are the analytic ones" check-vase -m 0.9 -p 1.8
 # Voxels add little to the error of the triangles' own normals.
 mean() { "$TESTS/check-vase" "$1" object_mask.exr | sed -n 's/.*mean angle: \([0-9.e-]*\).*/\1/p'; }
 ok run bisque-bake vase.tris low.obj --maps normal --normal space=object --type float --size 512 --samples 1 -o exact.exr
-if sanitized; then
-    skip "vase: normals from voxels are as good as those from triangles" "the scan is smaller under sanitizers"
-else
-    awk "BEGIN { exit !($(mean object_normal.exr) < 1.1 * $(mean exact.exr)) }"
-    check "vase: normals from voxels are as good as those from triangles" $?
-fi
+awk "BEGIN { exit !($(mean object_normal.exr) < 1.1 * $(mean exact.exr)) }"
+check "vase: normals from voxels are as good as those from triangles" $?
 
 # Lookup of the nearest voxel is blockier: the option must make the result worse.
 ok run bisque-bake vase.nvdb low.obj --maps normal,mask --normal space=object --type float --size 512 \
     --samples 1 --scan sampling=nearest -o 'nearest_<MAP>.exr'
-if sanitized; then
-    skip "vase: blending over neighbours beats the nearest voxel" "the scan is smaller under sanitizers"
-else
-    awk "BEGIN { exit !($(mean nearest_normal.exr) > 1.5 * $(mean object_normal.exr)) }"
-    check "vase: blending over neighbours beats the nearest voxel" $?
-fi
+awk "BEGIN { exit !($(mean nearest_normal.exr) > 1.5 * $(mean object_normal.exr)) }"
+check "vase: blending over neighbours beats the nearest voxel" $?
 
 # The same scan in other forms gives the same voxels: shuffled, geo-referenced, from the chunk file.
 "$TESTS/generate-scan" --triangles $triangles --colors --offset 500000,5000000,100 vase -o far.obj
@@ -94,7 +79,7 @@ against_exact()
     ok run bisque-compare $1_nvdb_$3.exr $1_tris_$3.exr --mask-a $1_nvdb_mask.exr --mask-b $1_tris_mask.exr $2
 }
 
-if [ -n "$SCANS" ] && ! sanitized; then
+if [ -n "$SCANS" ]; then
     ok run bisque-voxelize "$SCANS/bunny.obj" -o bunny.nvdb --resolution 1024 --scan-normals flat
     ok run bisque-voxelize "$SCANS/spot.obj" --texture "$SCANS/spot.png" -o spot.nvdb --resolution 1024 \
         --scan-normals flat
@@ -109,6 +94,6 @@ if [ -n "$SCANS" ] && ! sanitized; then
     against_exact spot "--max-mean 1 --max-p95 3 --min-agreement 0.999" normal
     against_exact spot "--max-mean 0.1 --max-p99 0.5" color
 else
-    skip "bunny and Spot against exact rays" "no folder SCANS, or sanitizers"
+    skip "bunny and Spot against exact rays" "no folder SCANS"
 fi
 finish

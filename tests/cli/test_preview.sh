@@ -1,6 +1,7 @@
 #!/bin/sh
 # test_preview.sh - all columns show both sides of a scan, and below each row stands the difference.
 . "$(dirname "$0")/lib.sh"
+unsanitized "what a preview shows" "test_bake.sh makes previews under sanitizers"
 PYTHONPATH=$top/tests/cli
 export PYTHONPATH
 

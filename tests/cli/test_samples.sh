@@ -2,6 +2,7 @@
 # test_samples.sh - what an exact bake of a large scan reads: for distances the samples of its
 # chunks, for a map each chunk once, whether all rays fit into memory or not.
 . "$(dirname "$0")/lib.sh"
+unsanitized "bytes that are read" "they would need a large scan"
 
 read_bytes()
 {

@@ -3,6 +3,8 @@
 # textured scan with several chunks and regions, previews, comparisons. With config=tsan it finds
 # races.
 . "$(dirname "$0")/lib.sh"
+ldd "$BIN/bisque-voxelize" | grep -q libtsan ||
+    unsanitized "the same bytes on one thread and on eight" "AddressSanitizer looks for other faults"
 
 "$TESTS/generate-scan" --triangles 100000 --uvs vase -o vase.obj
 "$TESTS/generate-scan" vase-low -o low.obj

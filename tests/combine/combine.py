@@ -383,7 +383,7 @@ def in_parts(runner, job, base, rng):
     """Divides the bake into parts, which are baked in any order, and some twice."""
     if any(option.name == "tiles" for option, _ in job.given):
         return False  # parts have all tiles
-    count, given, codes = rng.choice([1, 2, 2, 3, 3, 5, 5, 30]), list(job.given), []
+    count, given, codes = rng.choice([1, 2, 2, 3, 3, 5, 5, 9]), list(job.given), []
     order = list(range(1, count + 1)) + rng.sample(range(1, count + 1), 1)
     rng.shuffle(order)
 

@@ -48,7 +48,7 @@ static void shuffle(uint32_t *order, uint32_t count, uint64_t *seed)
     }
 }
 
-#define TANGLED_FACES   6000u
+#define TANGLED_FACES   1500u
 #define TANGLED_CORNERS 100u
 
 /* Writes polygons with corners anywhere in the scan. */

@@ -1,7 +1,9 @@
 /* test_polygon.c - triangles cover their polygon, with its orientation, for any simple polygon. */
 #include "base/geometry/polygon.h"
+#include "tests/unit/sanitized.h"
 #include "tests/unit/test.h"
 
+enum { ROUNDS = TEST_SANITIZED ? 2000 : 20000 };
 static uint64_t random_state; /* of test_random() */
 SHARED_CONTEXT(ctx, 1)
 
@@ -136,7 +138,7 @@ TEST(test_random_stars)
 {
     double corners[200][2];
     random_state = test_seed();
-    for (int i = 0; i < 20000; i++) {
+    for (int i = 0; i < ROUNDS; i++) {
         uint32_t n = 3 + (uint32_t)(random_unit() * (i % 50 ? 12 : 190));
         struct frame frame = random_frame(i % 3 ? 10 : 0);
         random_star(corners, n, n == 3 ? 0.5 : 0.05);
@@ -219,7 +221,7 @@ TEST(test_convex_quad_is_cut_at_its_first_corner)
 TEST(test_sign_of_zero_changes_nothing)
 {
     random_state = test_seed();
-    for (int i = 0; i < 20000; i++) {
+    for (int i = 0; i < ROUNDS; i++) {
         double plain[8][3] = {{0}}, negative[8][3];
         uint32_t expected[18], triangles[18];
         for (uint32_t k = 0; k < 8; k++) {
@@ -241,7 +243,7 @@ TEST(test_degenerate)
     double positions[most][3];
     uint32_t triangles[3 * most];
     random_state = test_seed();
-    for (int i = 0; i < 20000; i++) {
+    for (int i = 0; i < ROUNDS; i++) {
         uint32_t n = 3 + (uint32_t)(random_unit() * (most - 3));
         int kind = i % 5; /* a point, a line, few points, crossing edges, areas that overflow */
         for (uint32_t k = 0; k < n; k++)
