@@ -70,7 +70,6 @@ static void make_scene(int number, struct scene *scene)
     uint64_t state = (uint64_t)number + 1;
     scene_random(scene, (uint64_t)number + 1, 30);
     uint64_t kept = 0;
-    scene->second_count = 0;
     for (uint64_t i = 0; i < scene->count && i < counts[number]; i++) {
         struct scene_voxel *v = &scene->voxels[kept++];
         for (int k = 0; k < 3; k++)
