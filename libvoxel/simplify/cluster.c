@@ -46,7 +46,7 @@ struct clustering {
     uint32_t *cells;  /* of vertices */
     uint32_t *owners; /* of vertices: their cluster */
     int32_t *euler;   /* of clusters: twice their vertices, less edges, plus triangles */
-    uint8_t *bad;     /* of clusters */
+    uint8_t *bad;     /* of clusters; before they are judged, vertices of small ones */
     /* Of clusters, their new vertex; first sums relative to their least vertex. */
     float (*positions)[3];
     struct vox_quadric *quadrics;
@@ -147,7 +147,7 @@ static void find_clusters(struct clustering *c)
         const uint32_t *v = mesh->triangles[t];
         for (int k = 0; k < 3; k++) {
             const uint32_t a = v[k], b = v[k == 2 ? 0 : k + 1];
-            if (c->cells[a] == c->cells[b] && owners[a] != owners[b])
+            if ((c->cells[a] == c->cells[b]) & (owners[a] != owners[b]))
                 unite(owners, vox_find_root(owners, a), vox_find_root(owners, b));
         }
     }
@@ -161,10 +161,12 @@ static void join_small(struct clustering *c)
     uint32_t *sizes = c->sizes, *owners = c->owners;
     memset(sizes, 0, mesh->vertex_count * sizeof *sizes);
     for (uint32_t v = 0; v < mesh->vertex_count; v++)
-        sizes[vox_find_root(owners, v)]++;
+        sizes[owners[v] = vox_find_root(owners, v)]++;
+    for (uint32_t v = 0; v < mesh->vertex_count; v++)
+        c->bad[v] = sizes[owners[v]] <= SMALL;
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         const uint32_t *v = mesh->triangles[t];
-        for (int k = 0; k < 3; k++) {
+        for (int k = 0; k < 3 && (c->bad[v[0]] | c->bad[v[1]] | c->bad[v[2]]); k++) {
             const uint32_t a = v[k], b = v[k == 2 ? 0 : k + 1];
             if (c->cells[a] == c->cells[b] || ((c->cells[a] | c->cells[b]) & STAYS))
                 continue;

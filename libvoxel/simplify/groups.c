@@ -1,7 +1,8 @@
 /* groups.c - see groups.h and steps.h.
  *
- * With locked borders, a group keeps about as many vertices as its border has, so a level reduces a
- * mesh to an eighth at most; groups of the next level are as large as groups of this one were. */
+ * With locked borders, a group keeps about as many vertices as its border has, so a level leaves an
+ * eighth, or with clusters a twelfth; groups of the next level are as large as groups of this one
+ * were. */
 #include "libvoxel/simplify/groups.h"
 
 #include <string.h>
@@ -16,6 +17,7 @@
 enum {
     GROUP_TRIANGLES = 65536,
     LEVEL_FACTOR = 8,
+    LEVEL_FACTOR_CLUSTERS = 12,
     CLUSTER_FACTOR = 4,
     PAGE_BYTES = 1 << 18,
     WORK_BYTES = 160 /* of a triangle, while its group is reduced */
@@ -258,14 +260,16 @@ static unsigned count_slots(const struct vox_level *level)
 /* Makes the next level in *to. */
 static int reduce_level(const struct vox_level *from, uint64_t target, struct vox_level *to)
 {
-    const uint64_t least = from->triangles / LEVEL_FACTOR;
+    const bool cluster = from->triangles / LEVEL_FACTOR / CLUSTER_FACTOR >= target;
+    const uint64_t least = cluster ? CLUSTER_FACTOR * target : target,
+                   wanted = from->triangles / (cluster ? LEVEL_FACTOR_CLUSTERS : LEVEL_FACTOR);
     const unsigned slot_count = count_slots(from);
     struct slot *slots = NULL;
     struct step step = {.from = from,
                         .to = to,
                         .ratio =
-                            (double)(target > least ? target : least) / (double)from->triangles,
-                        .cluster = least / CLUSTER_FACTOR >= target};
+                            (double)(wanted > least ? wanted : least) / (double)from->triangles,
+                        .cluster = cluster};
     int status = 0;
     BSQ_TRY(vox_level_begin(from, from->part_count, true, to));
     BSQ_TRY(BSQ_CALLOC(to->ctx, "groups of chunks", slot_count, &slots));
