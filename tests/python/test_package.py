@@ -309,6 +309,14 @@ def test_charts_that_the_library_made_points_do_not_outgrow_the_others():
     assert 0.002 < np.ptp(corners, axis=0).max() < 0.2
 
 
+@pytest.mark.parametrize("height", [1e-5, 0])
+def test_needles_get_texels(height):
+    square, needle = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 2, 0], [1, 2, 0], [0.5, 2 + height, 0]]
+    mesh = bisque.Mesh(np.array(square + needle, float), np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]]))
+    found = bisque.unwrap(mesh, size=512).report["uv"]
+    assert found["charts"] == 2 and found["small_charts"] == found["degenerate_triangles"] == 0
+
+
 def asset(*arguments, code=0):
     done = run_asset(*arguments)
     assert done.returncode == code, done.stderr

@@ -148,21 +148,31 @@ def _extents(charts: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def _enlarge_small(mesh: Mesh, uvs: np.ndarray, size: int) -> Mesh | None:
-    """Returns the mesh with a piece of its own for each chart, of which small ones are larger. None: few are small."""
+    """Returns the mesh with a piece of its own for each chart, of which small ones are larger. Each triangle of a
+    needle, which would still be small, becomes an equilateral one. None: few are small."""
     charts = _charts(uvs, mesh.faces)
     texels = np.bincount(charts, np.abs(_signed_areas(uvs))) * size * size
     if (texels < SMALL_TEXELS).mean() <= MOST_SMALL:
         return None
     p = mesh.vertices[mesh.faces].astype(np.float64)
-    scale = np.sqrt(texels.sum() / max(face_normals(mesh)[1].sum(), 1e-300)) / size
+    sizes = face_normals(mesh)[1]
+    scale = np.sqrt(texels.sum() / max(sizes.sum(), 1e-300)) / size
     # A needle of no area would grow without end, and so would what the library made a point of.
     most = 1 / (8 * np.maximum(_extents(charts, uvs), scale * _extents(charts, p)).clip(1e-9))
     factor = np.sqrt(WANTED_TEXELS / texels.clip(1e-9)).clip(1, most.clip(1))
+    real = np.maximum(texels, np.bincount(charts, sizes) * (scale * size) ** 2)
+    needles = np.flatnonzero((factor ** 2 * real < SMALL_TEXELS)[charts])
+    charts[needles] = len(factor) + np.arange(len(needles))
+    factor = np.append(factor, np.ones(len(needles)))
     corners, faces = np.unique(charts[:, None] * len(mesh.vertices) + mesh.faces, return_inverse=True)
     chart, vertices = corners // len(mesh.vertices), mesh.vertices[corners % len(mesh.vertices)].astype(np.float64)
-    middle = np.stack([np.bincount(chart, vertices[:, k]) for k in range(3)], axis=1) / np.bincount(chart)[:, None]
+    sums, faces = np.stack([np.bincount(chart, vertices[:, k]) for k in range(3)], axis=1), faces.reshape(-1, 3)
+    middle = sums / np.bincount(chart).clip(1)[:, None]
     vertices = middle[chart] + (vertices - middle[chart]) * factor[chart, None]
-    return Mesh(vertices, faces.reshape(-1, 3))
+    # Three corners of a unit cube are an equilateral triangle, of area sqrt(3) / 2.
+    side = np.sqrt(WANTED_TEXELS / np.sqrt(0.75)) / (scale * size)
+    vertices[faces[needles]] = middle[charts[needles], None] + side * np.eye(3)
+    return Mesh(vertices, faces)
 
 
 def _turn_mirrored(mesh: Mesh, uvs: np.ndarray) -> tuple[np.ndarray, int]:
