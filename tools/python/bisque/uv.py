@@ -227,8 +227,8 @@ def unwrap(low: Any, *, size: int | str = 2048, padding: int = 4, library: str =
            progress: Progress | None = None) -> Mesh:
     """Gives a mesh texture coordinates in one square, with `padding` texels around each chart in maps
     of `size` texels, by "uvunwrap" or "xatlas". The mesh's report gets what check_uvs() finds, as
-    "uv". Charts that the library mirrors are put right. If many have under 16 texels, they get more, and
-    the library runs again. Edges over which normals differ by more than 20 degrees are seams. Raises
+    "uv". Charts that the library mirrors are put right. If many have under 16 texels, they get more, triangles of
+    needles get equal sides, and the library runs again. Edges over which normals differ by more than 20 degrees are seams. Raises
     UnwrapError, with advice, if the
     library takes longer than `seconds`, fails, or lays charts over each other. Texels are as dense
     everywhere: neither library takes weights of faces."""
