@@ -161,8 +161,8 @@ struct fmt_nvdb_grid {
     uint32_t flags;                /* of the trailer */
 };
 
-/* Maps a grid. Checks magic, version, type, sizes, and every node. Reads all nodes once, on all
- * threads, but no channels. Errors: BSQ_ENOINPUT;
+/* Maps a grid. Checks magic, version, type, sizes, and every node offset, mask and prefix sum that
+ * a traversal follows. Reads all nodes once, on all threads, but no channels. Errors: BSQ_ENOINPUT;
  * BSQ_EDATA naming what is wrong; BSQ_EIO, also if the file changes meanwhile. */
 int fmt_nvdb_open(struct bsq_ctx *ctx, const char *path, struct fmt_nvdb_grid *out);
 /* Does the same with an open file, which it takes over. */

@@ -1,5 +1,5 @@
-/* nvdb_verify.c - checks all nodes of a mapped grid and the ranks of its second records; and, to
- * verify a whole file, each section against its checksum, and each record.
+/* nvdb_verify.c - checks everything in a mapped grid that a traversal follows; and, to verify a
+ * whole file, each section against its checksum, and each record.
  *
  * The nodes of a level are contiguous, and so are their children. So each node is checked alone
  * with its right neighbour: its children must be successive, and the neighbour's first child must
@@ -8,9 +8,10 @@
  * checked in the same way. A node is read more than once, and the file may change in between, so
  * numbers of children are bounded where they are used.
  *
- * Only verifying checks records. The baker is safe with any bits in a record, and reading all
- * channels would take most of the time of opening a grid. Voxels are checked in tasks of whole
- * entries of the channel "second", whose ranks give the numbers of a task's second records. */
+ * Only verifying checks records, and bytes of nodes that a traversal does not follow. The baker is
+ * safe with any bits in a record, and reading all channels would take most of the time of opening a
+ * grid. Voxels are checked in tasks of whole entries of the channel "second", whose ranks give the
+ * numbers of a task's second records. */
 #include <inttypes.h>
 #include <math.h>
 #include <stdlib.h>
@@ -171,19 +172,16 @@ static int check_children(const struct check *c, const struct nvdb_level *level,
     fmt_nvdb_bbox_clear(bbox_min, bbox_max);
     if (number == 0 && child != 0)
         return bad_node(c, level->name, number, "child");
-    for (uint32_t cell = 0; cell < 64 * level->words; cell++) {
-        int32_t place[3];
-        if (!(mask[cell / 64] >> (cell % 64) & 1)) {
-            if (nvdb_table(level, node)[cell] != 0)
-                return bad_node(c, level->name, number, "offset without a child");
-            continue;
+    for (uint32_t word = 0; word < level->words; word++)
+        for (uint64_t bits = mask[word]; bits; bits &= bits - 1, child++) {
+            const uint32_t cell = 64 * word + (uint32_t)__builtin_ctzll(bits);
+            int32_t place[3];
+            if (child >= child_count(c, level) || verify_child_of(c, level, node, cell) != child)
+                return bad_node(c, level->name, number, "child");
+            child_origin(level, origin, cell, place);
+            BSQ_PASS(is_upper(level) ? check_place(c, child, place, bbox_min, bbox_max)
+                                     : check_leaf(c, child, place, bbox_min, bbox_max));
         }
-        if (child >= child_count(c, level) || verify_child_of(c, level, node, cell) != child)
-            return bad_node(c, level->name, number, "child");
-        child_origin(level, origin, cell, place);
-        BSQ_PASS(is_upper(level) ? check_place(c, child++, place, bbox_min, bbox_max)
-                                 : check_leaf(c, child++, place, bbox_min, bbox_max));
-    }
     if (first_child(c, level, number + 1) != child)
         return bad_node(c, level->name, number, "child");
     if (!same_box(bbox_min, bbox_max, node->bbox_min, node->bbox_max))
@@ -199,10 +197,6 @@ static int check_node(const struct check *c, const struct nvdb_level *level, uin
     if (!verify_all_zero(nvdb_value_mask(node), level->words) ||
         first_child(c, level, number) == UINT64_MAX)
         return bad_node(c, level->name, number, "child");
-    if (node->flags != NVDB_NODE_HAS_BBOX)
-        return bad_node(c, level->name, number, "flag");
-    if (!verify_all_zero(nvdb_statistics(level, node), 4))
-        return bad_node(c, level->name, number, "statistic");
     const struct nvdb_root_tile *root_tiles = (const void *)c->grid->root_tiles;
     if (is_upper(level) && nvdb_root_key(origin) != root_tiles[number].key)
         return bad_node(c, level->name, number, "place");
@@ -348,6 +342,36 @@ static int verify_padding(const struct check *c)
     return 0;
 }
 
+/* ---- nodes ---- */
+
+/* Returns what is wrong with bytes of a node that no reader of Bisque follows, or NULL. */
+static const char *fault_of_node(const struct nvdb_level *level, const struct nvdb_node *node)
+{
+    const uint64_t *mask = nvdb_child_mask(level, node), *of = nvdb_statistics(level, node);
+    const int64_t *table = nvdb_table(level, node);
+    uint64_t unused = 0;
+    for (uint32_t i = 0; i < 64 * level->words; i++)
+        unused |= mask[i / 64] >> (i % 64) & 1 ? 0 : (uint64_t)table[i];
+    if (node->flags != NVDB_NODE_HAS_BBOX)
+        return "flag";
+    if (of[0] | of[1] | of[2] | of[3])
+        return "statistic";
+    return unused ? "offset without a child" : NULL;
+}
+
+static int verify_node(void *arg, uint64_t index, unsigned worker)
+{
+    (void)worker;
+    const struct check *c = arg;
+    const bool upper = index < c->grid->upper_count;
+    const struct nvdb_level *level = upper ? &fmt_nvdb_upper : &fmt_nvdb_lower;
+    const uint64_t number = upper ? index : index - c->grid->upper_count;
+    const struct nvdb_node *node = node_of(c, level, number);
+    const char *fault = fault_of_node(level, node);
+    forget_pages(c->grid, node, level->node_bytes);
+    return fault ? bad_node(c, level->name, number, fault) : bsq_check(c->ctx);
+}
+
 /* ---- records ---- */
 
 static int bad_record(const struct check *c, uint64_t number, const char *what)
@@ -436,5 +460,7 @@ int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     c.trailer = *nvdb_trailer_of(grid);
     BSQ_PASS(bsq_parallel_for(ctx, NVDB_TRAILER, verify_section, &c));
     BSQ_PASS(verify_padding(&c));
+    BSQ_PASS(
+        bsq_parallel_for(ctx, (uint64_t)grid->upper_count + grid->lower_count, verify_node, &c));
     return verify_records(&c);
 }
