@@ -41,9 +41,8 @@ static inline void each_sample_of_row(struct tracing *tracing, const struct bk_p
     const uint32_t *triangles = worker->sample_triangles;
     const uint32_t n = params->samples, side = square_side(tracing), width = patch->width;
     const uint32_t rows = side < patch->height - row ? side : patch->height - row;
-    struct group group;
+    struct group group = {.samples.count = 0};
     bk_samples *samples = &group.samples;
-    samples->count = 0;
     for (uint32_t column = 0; column < width; column += side) {
         const uint32_t end = side < width - column ? column + side : width;
         *ray = next_bundle(*ray);
@@ -213,7 +212,7 @@ static void sum_group(struct tracing *tracing, const struct group *group, const 
     if (tracing->next_hits)
         samples_set_confidence(tracing, group, &start, &hits, &placed);
     if (tracing->look) {
-        bk_surroundings sums[BK_WIDTH];
+        bk_surroundings sums[BK_WIDTH] = {{.open = 0}};
         for (uint32_t lane = 0; lane < group->samples.count; lane++)
             sums[lane] = tracing->surroundings[group->rays[lane]];
         bk_surroundings_for_maps(params, points, sums, &placed);

@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "formats/material/channels.h"
 #include "tests/unit/formats/grid/nvdb_scene.h"
 #include "tests/grid_lookup.h"
 
@@ -127,6 +128,11 @@ static bool same_node(const int32_t a[3], const int32_t b[3], int32_t dim)
     return true;
 }
 
+static float channel_value(const int32_t ijk[3], uint32_t k, bool second)
+{
+    return (float)(ijk[0] % 64 - 2 * (ijk[1] % 32)) + 0.25f * (float)k + (second ? 1000.0f : 0.0f);
+}
+
 /* Appends the voxels [begin, end), which are in one region. */
 static int append_region(struct fmt_nvdb_writer *writer, const struct scene *scene, uint64_t begin,
                          uint64_t end)
@@ -136,7 +142,12 @@ static int append_region(struct fmt_nvdb_writer *writer, const struct scene *sce
     uint64_t(*masks)[8] = calloc(n, sizeof(*masks));
     struct fmt_nvdb_record *records = calloc(n, sizeof(*records));
     struct fmt_nvdb_record *second = calloc(n, sizeof(*second));
-    struct fmt_nvdb_region region = {.record_count = n};
+    const char *list = scene->info.channels;
+    const uint32_t words = list ? fmt_channel_list_values(list, strlen(list)) : 0;
+    float *channels = calloc(n * words + 1, sizeof *channels);
+    float *second_channels = calloc(n * words + 1, sizeof *second_channels);
+    struct fmt_nvdb_region region = {
+        .record_count = n, .channels = channels, .second_channels = second_channels};
     for (uint64_t i = begin; i < end; i++) {
         const struct scene_voxel *v = &scene->voxels[i];
         uint32_t in[3];
@@ -149,6 +160,10 @@ static int append_region(struct fmt_nvdb_writer *writer, const struct scene *sce
             ids[region.leaf_count++] = id;
         masks[region.leaf_count - 1][in[0] % 8] |= UINT64_C(1) << (in[1] % 8 * 8 + in[2] % 8);
         records[i - begin] = v->first;
+        for (uint32_t k = 0; k < words; k++) {
+            channels[(i - begin) * words + k] = channel_value(v->ijk, k, false);
+            second_channels[region.second_count * words + k] = channel_value(v->ijk, k, true);
+        }
         if (v->first.plane & FMT_NVDB_PLANE_SECOND)
             second[region.second_count++] = v->second;
     }
@@ -161,6 +176,8 @@ static int append_region(struct fmt_nvdb_writer *writer, const struct scene *sce
     free(masks);
     free(records);
     free(second);
+    free(channels);
+    free(second_channels);
     return status;
 }
 
