@@ -412,7 +412,7 @@ def test_progress_goes_to_a_log_as_a_line_every_30_seconds(tmp_path):
     lines = [line for line in done.stderr.splitlines() if line.endswith(" % of all")]
     shares = [int(line.split()[-4]) for line in lines]
     assert len(lines) == int(done.stdout.split()[-1]) // 5 > 3, "one line in five reports, which are 7 seconds apart"
-    assert all(re.match(r"bisque-asset: [a-z]+: [a-z ]+: \d+ % of all$", line) for line in lines), lines
+    assert all(re.match(r"bisque-asset: [a-z0-9 ]+: [a-z ]+: \d+ % of all$", line) for line in lines), lines
     assert shares == sorted(shares) and shares[-1] > shares[0]
 
 

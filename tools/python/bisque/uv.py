@@ -31,6 +31,8 @@ ADVICE = ("ask for fewer triangles, drop small pieces (min_component=1), or take
 #: Charts with fewer texels are small, and get that many if more than a share of all are; neither library
 #: takes sizes of charts.
 SMALL_TEXELS, WANTED_TEXELS, MOST_SMALL = 16, 24, 0.03
+#: A needle is this many times as long as it is wide, in the mean.
+SLENDER = 16
 #: The library may split charts that got larger.
 MOST_RUNS = 3
 #: Strips around charts: their width in texels, and how many times farther than the triangle reaches they go at most.
@@ -149,7 +151,7 @@ def _extents(charts: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 def _enlarge_small(mesh: Mesh, uvs: np.ndarray, size: int) -> Mesh | None:
     """Returns the mesh with a piece of its own for each chart, of which small ones are larger. Each triangle of a
-    needle, which would still be small, becomes an equilateral one. None: few are small."""
+    needle that would still be small becomes an equilateral one. None: few are small."""
     charts = _charts(uvs, mesh.faces)
     texels = np.bincount(charts, np.abs(_signed_areas(uvs))) * size * size
     if (texels < SMALL_TEXELS).mean() <= MOST_SMALL:
@@ -158,10 +160,12 @@ def _enlarge_small(mesh: Mesh, uvs: np.ndarray, size: int) -> Mesh | None:
     sizes = face_normals(mesh)[1]
     scale = np.sqrt(texels.sum() / max(sizes.sum(), 1e-300)) / size
     # A needle of no area would grow without end, and so would what the library made a point of.
-    most = 1 / (8 * np.maximum(_extents(charts, uvs), scale * _extents(charts, p)).clip(1e-9))
+    sides = np.maximum(_extents(charts, uvs), scale * _extents(charts, p)).clip(1e-9)
+    most = 1 / (8 * sides)
     factor = np.sqrt(WANTED_TEXELS / texels.clip(1e-9)).clip(1, most.clip(1))
     real = np.maximum(texels, np.bincount(charts, sizes) * (scale * size) ** 2)
-    needles = np.flatnonzero((factor ** 2 * real < SMALL_TEXELS)[charts])
+    thin = SLENDER ** 2 * real < (sides * size) ** 2
+    needles = np.flatnonzero((thin & (factor ** 2 * real < SMALL_TEXELS))[charts])
     charts[needles] = len(factor) + np.arange(len(needles))
     factor = np.append(factor, np.ones(len(needles)))
     corners, faces = np.unique(charts[:, None] * len(mesh.vertices) + mesh.faces, return_inverse=True)
