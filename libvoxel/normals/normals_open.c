@@ -148,6 +148,7 @@ static int join_part(struct open_worker *w, const struct open_part *part, bool *
     const uint32_t *own = w->run->own_rings + 1;
     vox_rings_pack_fn *const pack = BSQ_SIMD_PICK(bsq_simd_best(), vox_rings_pack);
     const uint64_t records = w->run->corners.list[part->bucket].bytes / sizeof *w->records;
+    vox_rings_clear(&w->rings, 0, 1); /* of corners of no ring */
     *fits = true;
     w->count = 0;
     w->table.mask = bsq_positions_cells(records < w->most ? (uint32_t)records : w->most) - 1;
@@ -214,7 +215,6 @@ static int make_worker(struct normals_run *run, uint32_t most, struct open_worke
     BSQ_PASS(bsq_alloc(run->ctx, "normals", worker_lay_out(NULL, w), 1, &memory));
     worker_lay_out(memory, w);
     w->table.positions = (const float(*)[3])w->positions;
-    vox_rings_clear(&w->rings, 0, 1);
     for (uint32_t i = 0; i < 3 * RECORDS; i++)
         w->triangles[i / 3][i % 3] = i;
     return 0;
