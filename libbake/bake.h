@@ -45,8 +45,7 @@ enum bake_position_in {
 
 /** How viewers use the opacity in a GLB file. */
 enum bake_alpha {
-    BAKE_ALPHA_BLEND, /**< Opacity is the surface's share of the colour; the rest is the
-                         background's. */
+    BAKE_ALPHA_BLEND, /**< Mixed with what lies behind, by the opacity. */
     BAKE_ALPHA_MASK   /**< Texels with an opacity below 0.5 are not drawn. */
 };
 

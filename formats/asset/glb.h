@@ -26,7 +26,7 @@ enum fmt_glb_texture {
 enum fmt_glb_alpha {
     FMT_GLB_OPAQUE, /* not at all */
     FMT_GLB_MASK,   /* texels with an alpha below 0.5 are not drawn */
-    FMT_GLB_BLEND   /* alpha is the surface's share of the colour; the rest is what is behind it */
+    FMT_GLB_BLEND   /* mixed with what lies behind, by alpha: 1 is opaque */
 };
 
 struct fmt_glb_material {

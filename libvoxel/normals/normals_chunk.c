@@ -92,8 +92,7 @@ static void weld_vertices(struct ring_slot *s)
     s->triangles = (const uint32_t(*)[3])s->welded_triangles;
 }
 
-/* Finds which one-rings are open, and which others may be creases: none by angle, as in Blender.
- */
+/* Finds which one-rings are open, and which others may be creases. */
 static void flag_rings(const struct normals_run *run, struct ring_slot *s)
 {
     const uint32_t count = s->tris.vertex_count;
@@ -102,7 +101,6 @@ static void flag_rings(const struct normals_run *run, struct ring_slot *s)
     const uint64_t *numbers = run->numbers;
     uint64_t *neighbours = s->neighbours;
     uint8_t *flags = s->flags;
-    const bool creases = run->weights != BSQ_SCAN_NORMALS_ANGLE;
     memset(neighbours, 0, count * sizeof *neighbours);
     for (uint32_t t = 0; t < s->tris.triangle_count; t++) {
         const uint32_t a = triangles[t][0], b = triangles[t][1], c = triangles[t][2];
@@ -112,9 +110,8 @@ static void flag_rings(const struct normals_run *run, struct ring_slot *s)
         neighbours[c] += x - y;
     }
     for (uint32_t ring = 0; ring < count; ring++)
-        flags[ring] = neighbours[ring] != 0                 ? VOX_RING_OPEN
-                      : creases & bsq_may_fold(units[ring]) ? VOX_RING_FOLDS
-                                                            : 0;
+        flags[ring] =
+            neighbours[ring] != 0 ? VOX_RING_OPEN : vox_ring_folds(run->weights, units[ring]);
 }
 
 /* Lists the triangles at open vertices, and at those that may be creases. */

@@ -158,10 +158,7 @@ static int join_part(struct open_worker *w, const struct open_part *part, bool *
         return 0;
     pack((const double(*)[4])w->rings.sums, own, w->count, w->normals);
     for (uint32_t ring = 1; ring <= w->count; ring++)
-        w->flags[ring] =
-            w->run->weights != BSQ_SCAN_NORMALS_ANGLE && bsq_may_fold(w->rings.units[ring])
-                ? VOX_RING_FOLDS
-                : 0;
+        w->flags[ring] = vox_ring_folds(w->run->weights, w->rings.units[ring]);
     memset(w->rings.crease_of, 0, (w->count + UINT64_C(1)) * sizeof *w->rings.crease_of);
     vox_rings_number_creases(&w->rings, w->flags, 1, w->count + 1, UINT32_MAX, &creases);
     if (creases > 0) {

@@ -39,6 +39,13 @@ enum {
     VOX_RING_FOLDS = 2 /* it may be a crease */
 };
 
+/* Returns VOX_RING_FOLDS if a one-ring with this row of `units` may be a crease, else 0: by angle,
+ * none is, as in Blender. */
+static inline uint8_t vox_ring_folds(enum bsq_scan_normals weights, const double units[4])
+{
+    return (weights != BSQ_SCAN_NORMALS_ANGLE) & bsq_may_fold(units) ? VOX_RING_FOLDS : 0;
+}
+
 /* Clears the sums of one-rings from `first` on. */
 static inline void vox_rings_clear(const struct vox_rings *rings, uint64_t first, uint64_t count)
 {

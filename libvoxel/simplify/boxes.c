@@ -17,14 +17,6 @@ static bool touches(const struct vox_boxes *boxes, uint32_t number, const float 
     return true;
 }
 
-static void bound_corners(const float *const corners[3], float low[3], float high[3])
-{
-    for (int k = 0; k < 3; k++) {
-        low[k] = fminf(corners[0][k], fminf(corners[1][k], corners[2][k]));
-        high[k] = fmaxf(corners[0][k], fmaxf(corners[1][k], corners[2][k]));
-    }
-}
-
 /* Raises what is known of a box by a triangle. */
 static void add_triangle(const struct vox_measuring *m, const struct vox_chunk_vertices *of,
                          const float *const corners[3], const uint32_t *triangle,
@@ -88,7 +80,7 @@ int vox_boxes_add_triangles(const struct vox_measuring *m, const struct fmt_tris
         const uint32_t *v = chunk->triangles[t];
         const float *const corners[3] = {positions[v[0]], positions[v[1]], positions[v[2]]};
         float low[3], high[3];
-        bound_corners(corners, low, high);
+        vox_bound_corners(corners, low, high);
         for (uint32_t i = 0; i < count; i++)
             if (touches(&m->boxes, list[i].number, low, high))
                 add_triangle(m, of, corners, v, &list[i].bound);
@@ -134,7 +126,7 @@ int vox_boxes_add_mesh(struct vox_measuring *m)
         if (t % 4096 == 0)
             BSQ_TRY(bsq_check(m->ctx));
         vox_closest_corners(&m->tree, t, corners);
-        bound_corners(corners, low, high);
+        vox_bound_corners(corners, low, high);
         for (uint32_t i = 0; i < count; i++) {
             double *most = &m->boxes.from_mesh[near[i]].bound.high;
             if (m->bounds[t] > *most && touches(&m->boxes, near[i], low, high))

@@ -19,7 +19,6 @@ enum {
     FINE_SHARE = 64,       /* triangles below this share of the mesh's own need no inner points */
     POINTS_SHARE = 8,      /* others have one in each of these shares, */
     POINTS_MAX = 1 << 16,
-    NEAR_REACHES = 16, /* how far triangles of other regions matter */
     VERTEX_BYTES =
         28, /* of a chunk's vertices, beside the chunk; and of its triangles, in a tree */
     TRIANGLE_BYTES = 40
@@ -83,56 +82,6 @@ int vox_visit_chunks(const struct vox_measuring *m,
                            fmt_tris_get_header(m->file)->chunk_count, fn, arg);
 }
 
-/* Returns whether the middle of a triangle is in the region. */
-static bool has_triangle(const struct vox_measuring *m, const float (*positions)[3],
-                         const uint32_t corners[3])
-{
-    float middle[3];
-    for (int k = 0; k < 3; k++)
-        middle[k] =
-            (positions[corners[0]][k] + positions[corners[1]][k] + positions[corners[2]][k]) / 3;
-    return vox_region_has(m->region, middle);
-}
-
-/* Returns whether all of a chunk is in the region. */
-static bool has_whole_chunk(const struct vox_measuring *m, uint64_t index)
-{
-    const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(m->file)[index];
-    return vox_region_has(m->region, info->bounds_min) &&
-           vox_region_has(m->region, info->bounds_max);
-}
-
-/* Leaves of a chunk, in its scratch, the triangles that the region has, and their vertices. */
-static int keep_own(const struct vox_measuring *m, uint64_t index, struct fmt_tris_chunk *chunk)
-{
-    float(*positions)[3] = (float(*)[3])chunk->positions;
-    uint32_t(*triangles)[3] = (uint32_t(*)[3])chunk->triangles;
-    uint32_t *numbers = NULL, vertices = 0, count = 0;
-    if (has_whole_chunk(m, index))
-        return 0;
-    BSQ_PASS(BSQ_CALLOC(m->ctx, "numbers of vertices", chunk->vertex_count, &numbers));
-    for (uint32_t t = 0; t < chunk->triangle_count; t++) {
-        if (!has_triangle(m, chunk->positions, triangles[t]))
-            continue;
-        memmove(triangles[count], triangles[t], sizeof *triangles);
-        for (int i = 0; i < 3; i++)
-            numbers[triangles[count][i]] = 1;
-        count++;
-    }
-    for (uint32_t v = 0; v < chunk->vertex_count; v++)
-        if (numbers[v] > 0) {
-            memmove(positions[vertices], positions[v], sizeof *positions);
-            numbers[v] = vertices++;
-        }
-    for (uint32_t t = 0; t < count; t++)
-        for (int i = 0; i < 3; i++)
-            triangles[t][i] = numbers[triangles[t][i]];
-    chunk->triangle_count = count;
-    chunk->vertex_count = vertices;
-    bsq_free(m->ctx, numbers);
-    return 0;
-}
-
 /* Returns how many points from the first on, at most a batch, are within reach of it. */
 static unsigned count_near(const float (*points)[3], uint32_t count, double reach)
 {
@@ -172,7 +121,7 @@ static int guess_chunk(struct vox_measuring *m, uint64_t index)
     uint32_t last = UINT32_MAX;
     int status = 0;
     BSQ_TRY(vox_load_chunk(m, index, &scratch, &chunk));
-    BSQ_TRY(keep_own(m, index, &chunk));
+    BSQ_TRY(vox_keep_own(m, index, &chunk));
     BSQ_TRY(BSQ_ALLOC(m->ctx, "distances", chunk.vertex_count, &squares));
     for (uint32_t v = 0; v < chunk.vertex_count; v += (GUESS_RUNS - 1) * VOX_CLOSEST_BATCH) {
         const uint32_t begin = v;
@@ -340,7 +289,7 @@ static int measure_chunk(void *arg, void *slot_, uint64_t sequence, unsigned wor
     BSQ_TRY(vox_load_chunk(m, sequence, &scratch, &chunk));
     BSQ_TRY(BSQ_ALLOC(m->ctx, "numbers of blocks", chunk.vertex_count, &of.blocks));
     vox_cover_add(&m->cover, &chunk, of.blocks);
-    BSQ_TRY(keep_own(m, sequence, &chunk));
+    BSQ_TRY(vox_keep_own(m, sequence, &chunk));
     const uint32_t count = chunk.vertex_count;
     if (count == 0)
         goto done;
@@ -414,8 +363,7 @@ done:
 
 /* ---- both ways ---- */
 
-/* Returns the square root of a triangle's area, in the mean. */
-static double mean_reach(const struct vox_mesh *mesh)
+double vox_mean_reach(const struct vox_mesh *mesh)
 {
     double area = 0;
     for (uint32_t t = 0; t < mesh->triangle_count; t++)
@@ -448,7 +396,7 @@ static void measure_sizes(struct vox_measuring *m)
                     fmax(fabs((double)header->bounds_min[k]), fabs((double)header->bounds_max[k])));
     }
     m->diagonal = sqrt(m->diagonal);
-    m->reach = mean_reach(m->mesh);
+    m->reach = vox_mean_reach(m->mesh);
     m->area = m->reach * m->reach * m->mesh->triangle_count;
     m->scan.slack = m->low.slack = 0x1p-21 * most;
     square = 16 * most * most;
@@ -456,9 +404,7 @@ static void measure_sizes(struct vox_measuring *m)
     m->first_bin = (int64_t)(bits >> 48) - VOX_BINS;
 }
 
-/* Measures the chunks of a region, and the triangles of the mesh that it has: owned, of each; NULL:
- * all. */
-static int measure_region(struct vox_measuring *m, const bool *owned)
+int vox_measure_region(struct vox_measuring *m, const bool *owned)
 {
     const struct vox_mesh *mesh = m->mesh;
     const uint32_t count = mesh->triangle_count;
@@ -482,175 +428,6 @@ done:
     return status;
 }
 
-struct box {
-    float low[3], high[3];
-};
-
-static const struct box no_box = {{INFINITY, INFINITY, INFINITY},
-                                  {-INFINITY, -INFINITY, -INFINITY}};
-
-static void grow_box(struct box *box, const float low[3], const float high[3])
-{
-    for (int k = 0; k < 3; k++) {
-        box->low[k] = fminf(box->low[k], low[k]);
-        box->high[k] = fmaxf(box->high[k], high[k]);
-    }
-}
-
-static void grow_by_corners(struct box *box, const float (*positions)[3], const uint32_t corners[3])
-{
-    for (int i = 0; i < 3; i++)
-        grow_box(box, positions[corners[i]], positions[corners[i]]);
-}
-
-struct surroundings {
-    const struct vox_measuring *m;
-    struct box *boxes; /* of the region's triangles, one a worker */
-};
-
-static int surround_chunk(void *arg, uint64_t index, unsigned worker)
-{
-    const struct surroundings *s = arg;
-    const struct vox_measuring *m = s->m;
-    const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(m->file)[index];
-    struct fmt_tris_chunk chunk;
-    void *scratch = NULL;
-    int status = 0;
-    bool touches = true;
-    for (int k = 0; k < 3; k++)
-        touches = touches && info->bounds_max[k] >= m->region->low[k] &&
-                  info->bounds_min[k] < m->region->high[k];
-    if (has_whole_chunk(m, index)) {
-        grow_box(&s->boxes[worker], info->bounds_min, info->bounds_max);
-    } else if (touches) {
-        BSQ_TRY(vox_load_chunk(m, index, &scratch, &chunk));
-        for (uint32_t t = 0; t < chunk.triangle_count; t++)
-            if (has_triangle(m, chunk.positions, chunk.triangles[t]))
-                grow_by_corners(&s->boxes[worker], chunk.positions, chunk.triangles[t]);
-    }
-done:
-    bsq_free(m->ctx, scratch);
-    return status;
-}
-
-/* Bounds the triangles that a region has, of the scan and of the mesh. Chunks may have triangles
- * far apart, so their own boxes are no measure. */
-static int bound_region(struct vox_measuring *m, struct box *out)
-{
-    const float(*positions)[3] = (const float(*)[3])m->mesh->positions;
-    struct surroundings s = {.m = m};
-    int status = 0;
-    *out = no_box;
-    BSQ_TRY(BSQ_ALLOC(m->ctx, "boxes", bsq_threads(m->ctx), &s.boxes));
-    for (unsigned i = 0; i < bsq_threads(m->ctx); i++)
-        s.boxes[i] = no_box;
-    BSQ_TRY(vox_visit_chunks(m, surround_chunk, &s));
-    for (unsigned i = 0; i < bsq_threads(m->ctx); i++)
-        grow_box(out, s.boxes[i].low, s.boxes[i].high);
-    for (uint32_t t = 0; t < m->mesh->triangle_count; t++)
-        if (has_triangle(m, positions, m->mesh->triangles[t]))
-            grow_by_corners(out, positions, m->mesh->triangles[t]);
-done:
-    bsq_free(m->ctx, s.boxes);
-    return status;
-}
-
-/* Sets the box of what matters to a region: what is in its box and this much farther. */
-static void surround_region(struct vox_measuring *m, const struct box *box, double farther)
-{
-    for (int k = 0; k < 3; k++) {
-        m->near_low[k] = box->low[k] - (float)farther;
-        m->near_high[k] = box->high[k] + (float)farther;
-    }
-}
-
-/* Returns whether a triangle of the mesh is the region's. *near: whether it matters there. */
-static bool is_owned(const struct vox_measuring *m, const uint32_t corners[3], bool *near)
-{
-    const float(*positions)[3] = (const float(*)[3])m->mesh->positions;
-    const bool own = has_triangle(m, positions, corners);
-    struct box box = no_box;
-    grow_by_corners(&box, positions, corners);
-    *near = own || !(vox_box_square(box.low, box.high, m->near_low, m->near_high) > 0);
-    return own;
-}
-
-/* Measures a region with the triangles of the mesh near it. numbers: space, of all vertices. */
-static int measure_part(struct vox_measuring *m, uint32_t *numbers)
-{
-    const struct vox_mesh *whole = m->mesh;
-    struct vox_mesh part = {0};
-    struct box box;
-    bool *owned = NULL, near;
-    uint32_t count = 0;
-    int status = 0;
-    m->reach = sqrt(m->area / whole->triangle_count);
-    BSQ_PASS(bound_region(m, &box));
-    if (box.low[0] > box.high[0])
-        return 0; /* the region is empty */
-    for (double farther = fmax(NEAR_REACHES * m->reach, m->scan.slack); count == 0; farther *= 2) {
-        surround_region(m, &box, farther);
-        for (uint32_t t = 0; t < whole->triangle_count; t++) {
-            is_owned(m, whole->triangles[t], &near);
-            count += near;
-        }
-        BSQ_PASS(bsq_check(m->ctx));
-    }
-    BSQ_TRY(BSQ_ALLOC(m->ctx, "a region", count, &owned));
-    BSQ_TRY(vox_mesh_allocate(m->ctx, 3 * count, count, false, false, &part));
-    part.vertex_count = part.triangle_count = 0;
-    memset(numbers, 0, whole->vertex_count * sizeof *numbers);
-    for (uint32_t t = 0; t < whole->triangle_count; t++) {
-        const uint32_t *corners = whole->triangles[t];
-        const bool own = is_owned(m, corners, &near);
-        if (!near)
-            continue;
-        owned[part.triangle_count] = own;
-        for (int k = 0; k < 3; k++) {
-            uint32_t *number = &numbers[corners[k]];
-            if (*number == 0) {
-                memcpy(part.positions[part.vertex_count], whole->positions[corners[k]],
-                       sizeof *part.positions);
-                *number = ++part.vertex_count;
-            }
-            part.triangles[part.triangle_count][k] = *number - 1;
-        }
-        part.triangle_count++;
-    }
-    m->mesh = &part;
-    m->reach = mean_reach(&part);
-    status = measure_region(m, owned);
-    m->mesh = whole;
-done:
-    bsq_free(m->ctx, owned);
-    vox_mesh_free(m->ctx, &part);
-    return status;
-}
-
-/* Measures region by region, as what is known of a mesh while it is measured takes much memory. */
-static int measure_parts(struct vox_measuring *m, uint32_t at_once)
-{
-    const struct vox_mesh *whole = m->mesh;
-    const double share = (double)at_once / whole->triangle_count;
-    struct vox_level level = {.ctx = m->ctx};
-    struct vox_region *regions = NULL;
-    uint32_t *numbers = NULL;
-    uint64_t count;
-    int status = 0;
-    BSQ_TRY(vox_reduce_chunks(m->ctx, m->file, UINT64_MAX, NULL, false, &level));
-    BSQ_TRY(vox_divide_level(&level, (uint64_t)(share * (double)level.triangles), 0.5, &regions,
-                             &count));
-    BSQ_TRY(BSQ_ALLOC(m->ctx, "a region", whole->vertex_count, &numbers));
-    for (uint64_t i = 0; i < count; i++) {
-        m->region = &regions[i];
-        BSQ_TRY(measure_part(m, numbers));
-    }
-done:
-    BSQ_FREE(m->ctx, numbers, regions);
-    vox_level_free(&level, NULL);
-    return status;
-}
-
 int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_mesh *mesh,
                 struct vox_marks *marks, struct vox_measured_box *boxes, uint32_t box_count,
                 uint32_t at_once, struct vox_distances *scan_to_mesh,
@@ -660,11 +437,9 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
                                    {INFINITY, INFINITY, INFINITY},
                                    fmt_tris_get_header(file)->triangle_count};
     struct vox_measuring m = {.ctx = ctx, .file = file, .mesh = mesh, .region = &all};
-    struct box box;
     int status = 0;
     measure_sizes(&m);
-    BSQ_TRY(bound_region(&m, &box));
-    surround_region(&m, &box, NEAR_REACHES * m.reach);
+    BSQ_TRY(vox_surround_region(&m, VOX_NEAR_REACHES * m.reach));
     if (marks) {
         m.limit = marks->limit;
         m.marks = marks->triangles;
@@ -672,8 +447,8 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
     BSQ_TRY(vox_boxes_begin(&m, boxes, box_count));
     BSQ_TRY(BSQ_CALLOC(ctx, "distances", 1, &m.from_scan));
     BSQ_TRY(BSQ_CALLOC(ctx, "distances", 1, &m.from_mesh));
-    BSQ_TRY(marks || mesh->triangle_count / 2 <= at_once ? measure_region(&m, NULL)
-                                                         : measure_parts(&m, at_once));
+    BSQ_TRY(marks || mesh->triangle_count / 2 <= at_once ? vox_measure_region(&m, NULL)
+                                                         : vox_measure_parts(&m, at_once));
     vox_summarize(&m, m.from_scan, &m.scan, scan_to_mesh);
     vox_summarize(&m, m.from_mesh, &m.low, mesh_to_scan);
     vox_boxes_end(&m);

@@ -14,6 +14,9 @@
  * distances are smaller than rounded coordinates tell. */
 enum { VOX_BINS = 64 * 16 };
 
+/* How far away triangles of other regions matter, in `reach`. */
+enum { VOX_NEAR_REACHES = 16 };
+
 struct vox_sums {
     double weight, distance, square; /* weighted sums */
     double bins[VOX_BINS];           /* weights by square */
@@ -74,6 +77,15 @@ static inline bool vox_has_chunk(const struct vox_measuring *m, uint64_t index)
     return vox_region_has(m->region, middle);
 }
 
+/* Sets the box around three corners. */
+static inline void vox_bound_corners(const float *const corners[3], float low[3], float high[3])
+{
+    for (int k = 0; k < 3; k++) {
+        low[k] = fminf(corners[0][k], fminf(corners[1][k], corners[2][k]));
+        high[k] = fmaxf(corners[0][k], fmaxf(corners[1][k], corners[2][k]));
+    }
+}
+
 /* Loads a chunk. The caller frees *scratch, on failure too. */
 int vox_load_chunk(const struct vox_measuring *m, uint64_t index, void **scratch,
                    struct fmt_tris_chunk *chunk);
@@ -119,6 +131,22 @@ static inline void vox_add_distance(const struct vox_measuring *m, struct vox_su
 double vox_bound_by_corners(const struct vox_measuring *m, const float *const corners[3],
                             const uint32_t *triangle, const struct vox_chunk_vertices *of,
                             double allowed);
+
+/* Returns the square root of a triangle's area, in the mean. */
+double vox_mean_reach(const struct vox_mesh *mesh);
+/* Measures the chunks of a region, and the triangles of the mesh that it has: owned, of each; NULL:
+ * all. Errors: those of loading chunks, BSQ_ENOMEM, BSQ_EINTR. */
+int vox_measure_region(struct vox_measuring *m, const bool *owned);
+
+/* measure_parts.c: leaves of a chunk, in its scratch, the triangles that the region has, and their
+ * vertices. Errors: BSQ_ENOMEM. */
+int vox_keep_own(const struct vox_measuring *m, uint64_t index, struct fmt_tris_chunk *chunk);
+/* Sets the box of what is near the region: what it has, and what is around it by this much. Errors:
+ * those of loading chunks, BSQ_ENOMEM. */
+int vox_surround_region(struct vox_measuring *m, double farther);
+/* Measures in regions of about `at_once` triangles of the mesh. Errors: those of
+ * vox_measure_region(). */
+int vox_measure_parts(struct vox_measuring *m, uint32_t at_once);
 
 /* boxes.c: prepares the distances of boxes, which stay the caller's; the caller frees
  * m->boxes.from_scan and from_mesh. Errors: BSQ_ENOMEM. */
