@@ -420,23 +420,17 @@ struct bake_report {
     uint64_t misses;         /**< Samples whose rays did not. */
     uint64_t
         overlapping_samples; /**< Samples in several triangles; the first triangle takes them. */
-    /** Side of the cells by which the next two are counted, world units; 0: they are not known, as
-     * for parts. A part of the scan counts as reached if a sample hit a surface that faces about
-     * the same way in the cells around it. */
-    double seen_cell;
-    double unseen;          /**< Share of the scans' area that no sample reached. */
-    double unseen_inside;   /**< The same of the area within the low-poly mesh's bounding box. */
-    double texel;           /**< Mean side of a texel on the low-poly mesh, world units. */
-    double voxel;           /**< That of the coarsest grid; 0: there is none. */
-    double front;           /**< Length of rays along the normal. */
-    double back;            /**< Length of rays against the normal. */
-    double seconds_open;    /**< Before the first ray; includes the upload of the grid. */
-    double seconds_trace;   /**< Rasterising, tracing and averaging. */
-    double seconds_padding; /**< Filling texels around charts. */
-    double seconds_resolve; /**< Encoding pixels. */
-    double seconds_write;   /**< Writing files. */
-    double seconds_preview; /**< Rendering the preview. */
-    double seconds_upload;  /**< Upload of the grid to a GPU; 0 for the processor. */
+    double texel;            /**< Mean side of a texel on the low-poly mesh, world units. */
+    double voxel;            /**< That of the coarsest grid; 0: there is none. */
+    double front;            /**< Length of rays along the normal. */
+    double back;             /**< Length of rays against the normal. */
+    double seconds_open;     /**< Before the first ray; includes the upload of the grid. */
+    double seconds_trace;    /**< Rasterising, tracing and averaging. */
+    double seconds_padding;  /**< Filling texels around charts. */
+    double seconds_resolve;  /**< Encoding pixels. */
+    double seconds_write;    /**< Writing files. */
+    double seconds_preview;  /**< Rendering the preview. */
+    double seconds_upload;   /**< Upload of the grid to a GPU; 0 for the processor. */
     /** Time with at least one kernel running, on the GPU's clock; 0 for the processor. */
     double seconds_kernels;
     /** Time with at least one copy of a tile running, on the GPU's clock; 0 for the processor. */

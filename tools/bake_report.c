@@ -136,24 +136,6 @@ static void print_coverage(const struct bake_arguments *arguments, const struct 
                   cli_counted(report->low_polygons, "polygon", "polygons").text);
 }
 
-/* Prints how much of the scan no ray reached, and what that may be if it is much. parts: of a bake
- * in parts, which do not count it. */
-static void print_unseen(const struct bake_report *report, bool parts)
-{
-    if (!(report->seen_cell > 0)) {
-        cli_print("how much of the scan no ray reached was not counted%s\n",
-                  parts ? ": bakes in parts do not; one without, also of a small map, does" : "");
-        return;
-    }
-    cli_print("%.1f %% of the scan's area was reached by no ray, counted in cells of %.2g",
-              100 * report->unseen, report->seen_cell);
-    if (100 * report->unseen_inside > HINT_PERCENT)
-        cli_print("; of what is within the bounds of the low-poly mesh, %.1f %%: layers beneath, "
-                  "parts that the mesh lacks, or parts farther away than --front and --back",
-                  100 * report->unseen_inside);
-    putchar('\n');
-}
-
 /* Prints how large voxels are on the map, and which would keep all of its detail. */
 static void print_voxels(const struct bake_report *report)
 {
@@ -201,7 +183,6 @@ static int bake_report_text(const struct cli *cli, const struct bake_arguments *
               cli_count(report->misses).text, percent(report->misses, report->samples),
               report->front, report->back, report->device);
     print_voxels(report);
-    print_unseen(report, bake->parts > 0);
     for (uint32_t i = 0; i < report->tile_count; i++)
         BSQ_PASS(bake_list_files(cli->ctx, bake, &report->tiles[i], print_map, report));
     if (bake->preview_path)
@@ -309,15 +290,6 @@ static json_t *ids_json(const struct bake_report *report)
     return json_null();
 }
 
-/* Returns the shares of the scan's area that no ray reached; null if they are not known. */
-static json_t *unseen_json(const struct bake_report *report)
-{
-    if (!(report->seen_cell > 0))
-        return json_null();
-    return json_pack("{s:f, s:f, s:f}", "area", report->unseen, "area_within_mesh",
-                     report->unseen_inside, "cell", report->seen_cell);
-}
-
 static json_t *bake_report_json(const struct cli *cli, const struct bake_arguments *arguments,
                                 const struct bake_report *report)
 {
@@ -325,7 +297,7 @@ static json_t *bake_report_json(const struct cli *cli, const struct bake_argumen
     const struct bake_options *bake = &arguments->bake;
     return json_pack(
         "{s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:s*, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
-        " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I, s:o, s:f, s:f}",
+        " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I, s:f, s:f}",
         "scan_path", cli_json_text(bake->scan_path), "scan_paths",
         paths_json(bake->scan_path, bake->more_scan_paths, bake->more_scan_count), "mesh_path",
         cli_json_text(bake->mesh_path), "mesh_paths",
@@ -344,8 +316,7 @@ static json_t *bake_report_json(const struct cli *cli, const struct bake_argumen
         CLI_VALUE(report, seconds_write), CLI_VALUE(report, seconds_preview),
         CLI_VALUE(report, seconds_upload), CLI_VALUE(report, seconds_kernels),
         CLI_VALUE(report, seconds_copies), CLI_COUNT(report, kernel_calls),
-        CLI_COUNT(report, chunk_loads), "unseen", unseen_json(report), CLI_VALUE(report, texel),
-        CLI_VALUE(report, voxel));
+        CLI_COUNT(report, chunk_loads), CLI_VALUE(report, texel), CLI_VALUE(report, voxel));
 }
 
 /* ---- comparisons with a reference ---- */

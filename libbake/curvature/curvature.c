@@ -360,8 +360,7 @@ done:
 double bake_curvature_radius(const struct bake_surface *surface, const struct bake_options *options,
                              const struct bake_lowmesh *mesh, const struct bake_udim *udim)
 {
-    double world, texels;
-    const double two_texels = 2.0 * bake_udim_areas(options, mesh, udim, &world, &texels);
+    const double two_texels = 2.0 * bake_udim_texel(options, mesh, udim);
     const double least = (!surface->grids ? 0.01 : 2.0) * surface->detail;
     return isfinite(two_texels) ? fmax(two_texels, least) : least;
 }

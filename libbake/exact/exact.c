@@ -84,7 +84,7 @@ void bake_exact_close(struct bake_exact *exact)
         return;
     struct bsq_ctx *ctx = exact->ctx;
     fmt_shading_close(&exact->shading);
-    BSQ_FREE(ctx, exact->tree_memory, exact->points, (void *)exact->loads);
+    BSQ_FREE(ctx, exact->tree_memory, (void *)exact->loads);
     fmt_tris_close(exact->file);
     bsq_free(ctx, exact);
 }

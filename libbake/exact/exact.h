@@ -95,21 +95,6 @@ int bake_exact_look_from(struct bake_exact_look *look, const struct bake_viewpoi
  * a hit's position. */
 float bake_exact_lift(const struct bake_exact *exact);
 
-/* ---- areas ---- */
-
-/* A point of a scan that stands for an area around it. */
-struct bake_area_point {
-    float at[3];     /* relative to the scan's origin */
-    float normal[3]; /* unit, outwards; zero: no ray came near the area */
-    float area;
-};
-/* Takes such points from the chunks that are loaded from now on. Call it at most once, not from
- * parallel work. Errors: BSQ_ENOMEM. */
-int bake_exact_note_areas(struct bake_exact *exact);
-/* Points *out at the points, which live as long as the scan, and returns their number. The area of
- * chunks that were not loaded is guessed. */
-uint64_t bake_exact_areas(struct bake_exact *exact, const struct bake_area_point **out);
-
 /* Warns of textures as fmt_shading_tell_losses() does. */
 int bake_exact_tell_losses(const struct bake_exact *exact);
 

@@ -161,8 +161,6 @@ static int load_chunk_leaves(const struct pass *pass, uint32_t index, char *memo
     struct fmt_tris_chunk chunk;
     BSQ_PASS(fmt_tris_load(exact->file, number, scratch, &chunk));
     ++*exact->loads;
-    if (exact->points)
-        bake_exact_take_areas(exact, number, &chunk);
     bake_exact_leaves_build(&chunk, pass->sorted, pass->sided, memory,
                             scratch +
                                 bsq_align_up(fmt_tris_load_size_max(exact->file), BSQ_ALIGNMENT),

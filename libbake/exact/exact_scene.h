@@ -25,9 +25,7 @@ struct bake_exact {
     enum bsq_simd simd;     /* instructions for tracing */
     struct exact_tree tree; /* over the chunks' bounds */
     void *tree_memory;
-    struct fmt_shading shading;     /* its channels are those of transfer maps */
-    struct bake_area_point *points; /* chunk_points of each chunk; NULL: they are not wanted */
-    uint32_t chunk_points;
+    struct fmt_shading shading; /* its channels are those of transfer maps */
     struct bake_device *device; /* NULL: the processor traces all rays */
     uint32_t places;            /* for chunks in the device's memory, of place_bytes each */
     uint64_t place_bytes;
@@ -119,10 +117,6 @@ struct exact_slots {
 int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint64_t memory,
                             struct exact_slots *out);
 void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots);
-
-/* Takes the points of a chunk that has just been loaded, unless they were taken before. */
-void bake_exact_take_areas(const struct bake_exact *exact, uint32_t number,
-                           const struct fmt_tris_chunk *chunk);
 
 /* Loads the chunk of a slot, or its sample, unless it is loaded, and builds the tree of the bounds
  * of each EXACT_RUN triangles. Workers may prepare different slots at the same time. */

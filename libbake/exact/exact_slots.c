@@ -146,8 +146,6 @@ int bake_exact_slot_prepare(const struct bake_exact *exact, const struct exact_s
     if (status < 0)
         return status;
     slot->loaded = true;
-    if (exact->points && !sampled)
-        bake_exact_take_areas(exact, slot->number, &slot->chunk);
     /* If there are fewer preparers than threads, there are as many as slots. */
     const uint64_t preparer = slots->preparers < bsq_threads(exact->ctx) ? index : worker;
     void *boxes = slots->boxes + preparer * slots->boxes_bytes;

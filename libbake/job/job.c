@@ -13,17 +13,13 @@
 /* Traces all texels. */
 static int job_trace(struct bake_job *job, double started)
 {
-    double area, texels;
     BSQ_PASS(bake_arrange_triangles(job));
     BSQ_PASS(bake_rasterise(job));
     BSQ_PASS(bake_open_device(job, bake_expect_work(job)));
-    bake_udim_areas(job->options, &job->mesh, &job->udim, &area, &texels);
-    BSQ_PASS(bake_seen_create(&job->surface, area, texels, job->traced.grid, &job->seen));
     double opened = bsq_seconds_now();
     job->report->seconds_open = opened - started;
     BSQ_PASS(bake_trace_maps(job));
     BSQ_PASS(bake_check_hits(job));
-    bake_seen_report(job->seen, &job->surface, &job->mesh, job->report);
     if (job->maps & BAKE_MAP_CURVATURE)
         BSQ_PASS(bake_trace_curvature(job));
     job->report->chunk_loads = bake_surface_loads(&job->surface);
@@ -57,7 +53,6 @@ static int job_run(struct bake_job *job, const struct bake_options *asked)
 {
     const double started = bsq_seconds_now();
     const struct bake_options *options = job->options;
-    double area, texels;
     if (asked->part && asked->tile_range_count > 0)
         return bsq_fail(job->ctx, BSQ_EUSAGE, "a part has all tiles: give --tiles to --merge only");
     BSQ_PASS(bake_open_inputs(job));
@@ -70,7 +65,7 @@ static int job_run(struct bake_job *job, const struct bake_options *asked)
     BSQ_PASS(bake_set_params(job));
     BSQ_PASS(bake_open_outputs(job));
     BSQ_PASS(options->parts ? bake_take_parts(job) : job_trace(job, started));
-    job->report->texel = bake_udim_areas(options, &job->mesh, &job->udim, &area, &texels);
+    job->report->texel = bake_udim_texel(options, &job->mesh, &job->udim);
     job->report->voxel = job->surface.grids ? job->surface.detail : 0;
     BSQ_PASS(bake_write_maps(job));
     BSQ_PASS(bake_write_asset(job));
@@ -110,7 +105,6 @@ static void job_end(struct bake_job *job)
     fmt_textures_close(job->skew);
     bake_udim_free(job->ctx, &job->udim);
     bake_lowmesh_free(job->ctx, &job->mesh);
-    bake_seen_free(job->seen);
     bake_surface_close(&job->surface);
 }
 

@@ -62,7 +62,6 @@ struct bake_job {
     bool *sees;                    /* that of the surface */
     struct bk_triangle *triangles; /* of the tiles to bake, the first ones of the mesh */
     uint32_t triangle_count;
-    struct bake_seen *seen;        /* NULL: nobody asks */
     char *scan_names;              /* of several scans, for the maps' headers; NULL: there is one */
     struct bake_measures measures; /* over all tiles */
     struct bake_curvature_counts curvature; /* over those that were traced */

@@ -203,11 +203,9 @@ static int show_misses(struct bake_job *job, const struct bake_tile *tile, uint3
 static int filter_tile(struct bake_job *job, const struct bake_tile *tile)
 {
     const double start = bsq_seconds_now();
-    double area, texels;
-    struct bake_filter filter = {
-        .image = tile->image,
-        .guide = bake_map_offset(job->maps, BK_MAP_guide),
-        .texel = bake_udim_areas(job->options, &job->mesh, &job->udim, &area, &texels)};
+    struct bake_filter filter = {.image = tile->image,
+                                 .guide = bake_map_offset(job->maps, BK_MAP_guide),
+                                 .texel = bake_udim_texel(job->options, &job->mesh, &job->udim)};
     /* Three times the variance of n rays, which was measured as 0.9 p (1 - p) n^-1.6: directions
      * are spread evenly. The spread of few texels is only an estimate, so it needs room. */
     if (job->maps & BAKE_MAP_AO) {

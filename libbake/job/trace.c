@@ -160,8 +160,7 @@ static int trace_tile(const struct bake_job *job, struct bake_tile *tile, uint64
                                          .triangle_count = job->triangle_count,
                                          .params = &job->surface.params,
                                          .image = tile->image,
-                                         .patch_side = tile->patch_side,
-                                         .seen = job->seen};
+                                         .patch_side = tile->patch_side};
     int status = job->traced.grid
                      ? bake_trace_grid_patches(&job->surface, job->device, &patches, job->report)
                      : bake_trace_ray_patches(&job->surface, &patches, objects, job->report);

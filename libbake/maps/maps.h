@@ -258,8 +258,7 @@ struct bake_patches {
     /* Of bake_image_channels_for(params->maps) channels, or of one more: the object of each texel,
      * as bits. */
     struct bake_image *image;
-    uint32_t patch_side;    /* side in texels */
-    struct bake_seen *seen; /* what the rays reach (libbake/surface/); NULL: it is not wanted */
+    uint32_t patch_side; /* side in texels */
 };
 
 /* Returns a side for patches: large if there is work for all threads, small if memory is short.

@@ -68,8 +68,6 @@ static int grid_trace_patch(void *arg, uint64_t index, unsigned number)
     BSQ_PASS(
         bake_raster_fill(patches->raster, (uint32_t)index, worker->sample_triangles, &overlaps));
     worker->overlaps += overlaps;
-    if (patches->seen)
-        bake_seen_mark_patch(trace->surface, patches, &patch, worker->sample_triangles);
     const int status =
         bake_device_begin(trace->device, &patch, worker->sample_triangles, number, window);
     if (status == BSQ_RETRY) {

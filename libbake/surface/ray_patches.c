@@ -321,8 +321,6 @@ static int run_batch(struct tracing *tracing)
     BSQ_PASS(bake_surface_check(surface));
     BSQ_PASS(keep_waiting(tracing, idle, end));
     rays = rays_of(tracing, tracing->waiting);
-    if (tracing->patches->seen)
-        BSQ_PASS(bake_seen_mark_hits(surface, tracing->patches->seen, &rays));
     if (tracing->look && rays.count > 0)
         BSQ_PASS(patches_look_around(tracing, &rays, texels - first_texels));
     if (tracing->next_hits)

@@ -143,29 +143,6 @@ void bake_look_free(struct bake_look *look); /* NULL is allowed */
 int bake_look_around(struct bake_look *look, const struct bake_look_hits *hits,
                      struct bk_surroundings *out);
 
-/* ---- what rays reached ---- */
-
-/* Notes which parts of the scans the rays of maps reach. */
-struct bake_seen;
-
-/* Prepares for maps of a low-poly mesh with this area, in world units and in texels. The surface's
- * parameters must be set. device: a device traces, so that other rays have to find out. *out: NULL
- * for a mesh without area; free it with bake_seen_free(), also after a failure. Errors:
- * BSQ_ENOMEM. */
-int bake_seen_create(struct bake_surface *surface, double area, double texels, bool device,
-                     struct bake_seen **out);
-void bake_seen_free(struct bake_seen *seen); /* NULL is allowed */
-/* Marks some of the hits of a batch in the surface's index space. Must not be called from parallel
- * work. */
-int bake_seen_mark_hits(const struct bake_surface *surface, struct bake_seen *seen,
-                        const struct bake_ray_batch *batch);
-/* Traces some samples of a patch, of a grid alone, and marks their hits. Thread-safe. */
-void bake_seen_mark_patch(const struct bake_surface *surface, const struct bake_patches *patches,
-                          const struct bk_patch *patch, const uint32_t *samples);
-/* Sets the report's seen_cell, unseen and unseen_inside, unless `seen` is NULL or overflowed. */
-void bake_seen_report(const struct bake_seen *seen, const struct bake_surface *surface,
-                      const struct bake_lowmesh *mesh, struct bake_report *report);
-
 /* ---- maps ---- */
 
 /* Trace and resolve all patches of a map into its image: on a device, of the only scan, a grid; or

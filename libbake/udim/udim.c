@@ -544,16 +544,16 @@ static void add_areas(const struct bake_lowmesh *mesh, uint64_t triangle, double
     *texels += 0.5 * fabs(u[0] * v[1] - u[1] * v[0]) * texels_a_tile;
 }
 
-double bake_udim_areas(const struct bake_options *options, const struct bake_lowmesh *mesh,
-                       const struct bake_udim *udim, double *world, double *texels)
+double bake_udim_texel(const struct bake_options *options, const struct bake_lowmesh *mesh,
+                       const struct bake_udim *udim)
 {
-    *world = *texels = 0;
+    double world = 0, texels = 0;
     for (uint32_t i = 0; i < udim->count; ++i) {
         const struct bake_udim_tile *tile = &udim->tiles[i];
         uint32_t width, height;
         bake_tile_size_of(options, tile->number, &width, &height);
         for (uint64_t t = tile->first; t < tile->first + tile->count; ++t)
-            add_areas(mesh, t, (double)width * (double)height, world, texels);
+            add_areas(mesh, t, (double)width * (double)height, &world, &texels);
     }
-    return *texels > 0 ? sqrt(*world / *texels) : 0;
+    return texels > 0 ? sqrt(world / texels) : 0;
 }

@@ -49,10 +49,9 @@ uint32_t bake_udim_row(uint32_t number);
 void bake_tile_size_of(const struct bake_options *options, uint32_t tile, uint32_t *width,
                        uint32_t *height);
 
-/* Finds the area of the triangles in the tiles, in world units, and that of their charts in texels.
- * Returns the side of a mean texel in world units, or 0 if charts have no area. */
-double bake_udim_areas(const struct bake_options *options, const struct bake_lowmesh *mesh,
-                       const struct bake_udim *udim, double *world, double *texels);
+/* Returns the side of a mean texel of the tiles in world units, or 0 if charts have no area. */
+double bake_udim_texel(const struct bake_options *options, const struct bake_lowmesh *mesh,
+                       const struct bake_udim *udim);
 
 /* ---- names of map files ---- */
 

@@ -136,9 +136,7 @@ holds "a part that is done is not touched" [ "$(stat -c %i.%y maps/part-2*)" = "
 ok $bake $whole --part 2/3 --json
 json .kept
 ok $bake $whole --merge 3 --json
-json '.samples > 0 and .samples == .hits + .misses and .device == "3 parts" and (.tiles | length) == 2 and .unseen == null'
-ok $bake $whole --merge 3
-out_like '^how much of the scan no ray reached was not counted: bakes in parts do not'
+json '.samples > 0 and .samples == .hits + .misses and .device == "3 parts" and (.tiles | length) == 2'
 
 # Tiles are merged by themselves, on several machines, with the ranges of all.
 rm -rf one

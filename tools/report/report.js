@@ -244,7 +244,6 @@ function showLost() {
   const counted = ['misses', 'low_polygons', 'degenerate_uv_triangles', 'outside_uv_triangles', 'overlapping_samples',
     'not_finite', 'only_a', 'only_b'].filter(key => data[key] > 0);
   const lines = [...data.warnings, ...counted.map(key => `${key.replaceAll('_', ' ')}: ${count(data[key])}`)];
-  if (data.unseen) lines.push(`not reached of the scan in the mesh's bounds: ${percent(data.unseen.area_within_mesh)}`);
   $('lost').append(...(lines.length ? lines : ['Nothing.']).map(line => el('li', {}, line)));
 }
 
