@@ -54,7 +54,7 @@ enum bake_sides { BAKE_ONE_SIDE, BAKE_TWO_SIDES };
 
 /** The vertical axis of a preview. */
 enum bake_up {
-    BAKE_UP_AUTO, /**< The one on whose lower end the low-poly mesh seems to stand. */
+    BAKE_UP_AUTO, /**< The one along which the low-poly mesh stands on a larger rectangle. */
     BAKE_UP_Y,    /**< Views from the front look along -z. */
     BAKE_UP_Z     /**< Views from the front look along y. */
 };
@@ -280,7 +280,7 @@ struct bake_options {
     uint32_t preview_views;    /**< Views around the mesh, to BAKE_MAX_VIEWS. */
     enum bake_up preview_up;   /**< Vertical axis of the preview. */
     /** The first view of the preview, in degrees around the vertical axis, from the front on to its
-     * right (seen from the mesh: to its left); below 0: the view that shows most. */
+     * right (seen from the mesh: to its left); below 0: 30, or the front of an open mesh. */
     double preview_from;
     /** How far all views look down, in degrees; below 0: 17, or near where an open mesh faces. */
     double preview_above;

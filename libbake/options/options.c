@@ -241,7 +241,7 @@ static const struct bsq_option table[] = {
      MEMBER(INPUT, reference_path)},
     {KEY("view", "count", "N", "views around the mesh"), COUNT(preview_views, 1, BAKE_MAX_VIEWS, 4),
      FINISHES, .needs = PREVIEW},
-    {KEY("view", "from", "DEG", "of the first view, around from the front; auto: the most telling"),
+    {KEY("view", "from", "DEG", "of the first view, from the front on; auto: 30 on closed meshes"),
      .words = "auto", NUMBER(preview_from, 360, -1), FINISHES, .needs = PREVIEW},
     {KEY("view", "above", "DEG",
          "how far views look down, to 90 degrees; auto: 17 on closed meshes"),

@@ -16,13 +16,9 @@ enum {
     SEPARATOR = 4,
     LINE = 24,        /* pixel rows of the line below each view */
     SIDE_ALONE = 768, /* of the panels of a single view */
-    SIDE = 384,       /* of the panels of each of several views: four take the time of one */
-    PROBE_SIDE = 96,  /* of the pictures that tell which view shows most */
-    PROBES = 8
+    SIDE = 384        /* of the panels of each of several views: four take the time of one */
 };
-_Static_assert(SIDE_ALONE % PREVIEW_BAND == 0 && SIDE % PREVIEW_BAND == 0 &&
-                   PROBE_SIDE % PREVIEW_BAND == 0,
-               "bands fill a panel");
+_Static_assert(SIDE_ALONE % PREVIEW_BAND == 0 && SIDE % PREVIEW_BAND == 0, "bands fill a panel");
 
 enum { PANEL_PLAIN, PANEL_MAPPED, PANEL_SCAN };
 
@@ -254,59 +250,6 @@ static int render_view(struct rendering *r)
                              (size_t)r->width * 3);
 }
 
-/* ---- the most telling view ---- */
-
-/* A small picture of the mesh with its maps is made from each of PROBES directions. Light changes
- * from pixel to pixel most where there are faces, reliefs and inscriptions. Changes above
- * most_change are outlines, which say as little of a view as their length. */
-static const float most_change = 0.06f;
-static const double first_probe = 30; /* degrees: a three-quarter view from the front */
-static const double front_bonus = 1.1;
-
-static float light_at(const struct rendering *r, uint32_t x, uint32_t y)
-{
-    const size_t panel = (size_t)PANEL_MAPPED * (r->side + SEPARATOR);
-    const float *pixel = r->pixels + ((size_t)y * r->width + panel + x) * 3;
-    return sqrtf(0.2126f * pixel[0] + 0.7152f * pixel[1] + 0.0722f * pixel[2]);
-}
-
-/* Returns how much light changes in the picture that was rendered last. */
-static double sum_changes(const struct rendering *r)
-{
-    double sum = 0;
-    for (uint32_t y = 0; y + 1 < r->side; ++y)
-        for (uint32_t x = 0; x + 1 < r->side; ++x) {
-            const float here = light_at(r, x, y);
-            sum += fminf(fabsf(light_at(r, x + 1, y) - here), most_change);
-            sum += fminf(fabsf(light_at(r, x, y + 1) - here), most_change);
-        }
-    return sum;
-}
-
-/* Finds where the first view is. */
-static int find_first_view(struct rendering *r, int up, struct bake_preview_views *views)
-{
-    const uint32_t side = r->side;
-    double most = 0;
-    int status = 0;
-    views->from = first_probe;
-    r->side = PROBE_SIDE;
-    for (uint32_t i = 0; i < PROBES; ++i) {
-        const double from = first_probe + i * 360.0 / PROBES;
-        bake_preview_view_set(r->preview, from, views->above, up, r->side, &r->view);
-        BSQ_TRY(bsq_parallel_for(r->ctx, r->side / PREVIEW_BAND, render_band, r));
-        const double changes = sum_changes(r) * (i == 0 ? front_bonus : 1);
-        if (changes > most) {
-            most = changes;
-            views->from = from;
-        }
-    }
-done:
-    memset(r->pixels, 0, (size_t)r->side * r->width * 3 * sizeof *r->pixels);
-    r->side = side;
-    return status;
-}
-
 /* ---- the difference below each view ---- */
 
 /* Glyphs of 5 x 7 pixels: a byte for each row, with the leftmost pixel in bit 4. */
@@ -410,7 +353,6 @@ int bake_preview_write(struct bsq_ctx *ctx, const char *path, const struct bake_
                        struct bake_preview_views *views, struct bsq_output **out)
 {
     const int up = bake_preview_up_axis(preview);
-    const bool placed = bake_preview_place_views(preview, up, views);
     struct rendering r = {.ctx = ctx,
                           .preview = preview,
                           .side = preview->options->preview_views == 1 ? SIDE_ALONE : SIDE};
@@ -425,12 +367,10 @@ int bake_preview_write(struct bsq_ctx *ctx, const char *path, const struct bake_
         .color = true};
     BSQ_TRY(fmt_image_create(ctx, &fmt_png_format, path, &options, &writer));
     BSQ_TRY(preview_allocate(&r));
-    const uint64_t probe_rows = placed ? 0 : PROBES * PROBE_SIDE;
     bsq_progress_begin(ctx, "preview", "rows",
-                       UINT64_C(2) * r.side * preview->options->preview_views + probe_rows);
-    status = placed ? 0 : find_first_view(&r, up, views);
-    if (status == 0)
-        status = write_views(&r, writer, up, views);
+                       UINT64_C(2) * r.side * preview->options->preview_views);
+    bake_preview_place_views(preview, up, views);
+    status = write_views(&r, writer, up, views);
     bsq_progress_end(ctx);
     if (status == 0) {
         status = fmt_image_hand_over(writer, out);

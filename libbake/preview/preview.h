@@ -33,10 +33,9 @@ struct bake_preview_views {
     double from, above, step;
 };
 
-/* Returns the vertical axis, 1 or 2, of `preview_up` or else the mesh suggests: the one on
- * whose lower end more of the mesh's surface lies flat, as things stand on the ground, or more of
- * it is missing, as below a bust that was scanned on a table. Axis 1 if there is no such
- * difference, the mesh is thin along axis 2, or it would fall over if it stood on that end. */
+/* Returns the vertical axis, 1 or 2, of `preview_up`, or else the one along which the mesh stands
+ * on a larger rectangle. Axis 1 if there is no such difference, or if the mesh is thin along
+ * axis 2. */
 int bake_preview_up_axis(const struct bake_preview *preview);
 
 /* Renders on all threads. Must not be called from parallel work. *out: the complete PNG, for the

@@ -30,76 +30,23 @@ static void set_axes(double around, double elevation, int up_axis, struct previe
  * relief is. */
 static const double base_height = 0.02, relief_depth = 0.25;
 
-/* What a mesh would stand on. */
-struct base {
-    double area; /* twice the area that faces down or is open, projected along the axis */
-    double low[3], high[3]; /* of its corners */
-};
-
-/* Returns twice the area of a triangle, projected along an axis; positive if it faces upwards. */
-static double facing_up(const double (*p)[3], int axis)
+/* Returns the area of the rectangle around what a mesh would stand on along an axis: its corners
+ * up to `height` above its lower end. So legs count as far as they are apart, and the rim of a hole
+ * as a plane does. */
+static double find_footprint(const struct bake_lowmesh *mesh, int axis, double height)
 {
     const int u = (axis + 1) % 3, v = (axis + 2) % 3;
-    return (p[1][u] - p[0][u]) * (p[2][v] - p[0][v]) - (p[1][v] - p[0][v]) * (p[2][u] - p[0][u]);
-}
-
-/* Returns whether no side of the mesh's bounds is longer than that along an axis. */
-static bool is_tall(const struct bake_lowmesh *mesh, int axis)
-{
-    const double *low = mesh->bounds_min, *high = mesh->bounds_max;
-    for (int k = 0; k < 3; ++k)
-        if (high[k] - low[k] > high[axis] - low[axis])
-            return false;
-    return true;
-}
-
-static struct base find_base(const struct bake_lowmesh *mesh, int axis, double height)
-{
-    struct base base = {0, {INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
-    double open = 0;
-    for (uint64_t t = 0; t < mesh->triangle_count; ++t) {
-        const double(*p)[3] = mesh->positions[t];
-        const double facing = facing_up(p, axis);
-        open += facing;
-        if (fmax(p[0][axis], fmax(p[1][axis], p[2][axis])) <= height)
-            base.area += fmax(-facing, 0);
-        for (int c = 0; c < 3; ++c)
-            for (int k = 0; p[c][axis] <= height && k < 3; ++k) {
-                base.low[k] = fmin(base.low[k], p[c][k]);
-                base.high[k] = fmax(base.high[k], p[c][k]);
+    const double limit = mesh->bounds_min[axis] + height;
+    double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
+    for (uint64_t t = 0; t < mesh->triangle_count; ++t)
+        for (int c = 0; c < 3; ++c) {
+            const double *p = mesh->positions[t][c];
+            for (int k = 0; p[axis] <= limit && k < 3; ++k) {
+                low[k] = fmin(low[k], p[k]);
+                high[k] = fmax(high[k], p[k]);
             }
-    }
-    /* A mask on its back is open below too, but lower than it is long. */
-    if (is_tall(mesh, axis))
-        base.area += fmax(open, 0);
-    return base;
-}
-
-/* Computes the centroid of the mesh's surface. */
-static void find_centroid(const struct bake_lowmesh *mesh, double out[3])
-{
-    double sum[3] = {0}, area = 0;
-    for (uint64_t t = 0; t < mesh->triangle_count; ++t) {
-        const double(*p)[3] = mesh->positions[t];
-        const double weight = bake_lowmesh_area(mesh, t);
-        area += weight;
-        for (int k = 0; k < 3; ++k)
-            sum[k] += weight * (p[0][k] + p[1][k] + p[2][k]) / 3;
-    }
-    for (int k = 0; k < 3; ++k)
-        out[k] = area > 0 ? sum[k] / area : 0;
-}
-
-/* Returns whether a mesh would not fall over, if all of the rectangle around the base carried it.
- * An animal's mouth may be the larger flat part, but it does not stand on that. */
-static bool is_stable(const struct bake_lowmesh *mesh, const struct base *base, int axis)
-{
-    double centroid[3];
-    find_centroid(mesh, centroid);
-    for (int k = 0; k < 3; ++k)
-        if (k != axis && !(centroid[k] >= base->low[k] && centroid[k] <= base->high[k]))
-            return false;
-    return true;
+        }
+    return (high[u] - low[u]) * (high[v] - low[v]);
 }
 
 int bake_preview_up_axis(const struct bake_preview *preview)
@@ -111,12 +58,9 @@ int bake_preview_up_axis(const struct bake_preview *preview)
     double longest = 0;
     for (int k = 0; k < 3; ++k)
         longest = fmax(longest, high[k] - low[k]);
-    if (high[2] - low[2] < relief_depth * longest)
-        return 1;
-    const double reach = base_height * longest;
-    const struct base y = find_base(mesh, 1, low[1] + reach),
-                      z = find_base(mesh, 2, low[2] + reach);
-    return z.area > y.area && is_stable(mesh, &z, 2) ? 2 : 1;
+    const double height = base_height * longest;
+    const bool thin = high[2] - low[2] < relief_depth * longest;
+    return !thin && find_footprint(mesh, 2, height) > find_footprint(mesh, 1, height) ? 2 : 1;
 }
 
 /* ---- the views ---- */
@@ -124,10 +68,18 @@ int bake_preview_up_axis(const struct bake_preview *preview)
 /* An open mesh faces one way on the whole: the sum of the areas that it shows to each side is more
  * than this part of all its area. Closed ones have 0. */
 static const double open_share = 1.0 / 3;
-static const double usual_above = 17, most_aside = 30; /* degrees */
+/* Degrees: a three-quarter view of closed meshes, and how far views look down. */
+static const double usual_from = 30, usual_above = 17, most_aside = 30;
 /* Degrees around in which an open mesh is seen, and by which their middle is aside from its front,
  * so that the light from the left is on it. */
 static const double fan = 90, lit = 15;
+
+/* Returns twice the area of a triangle, projected along an axis; positive if it faces upwards. */
+static double facing_up(const double (*p)[3], int axis)
+{
+    const int u = (axis + 1) % 3, v = (axis + 2) % 3;
+    return (p[1][u] - p[0][u]) * (p[2][v] - p[0][v]) - (p[1][v] - p[0][v]) * (p[2][u] - p[0][u]);
+}
 
 /* Computes where a mesh faces on the whole: to the right, upwards and to the front, in parts of its
  * area. */
@@ -146,7 +98,7 @@ static void find_facing(const struct bake_lowmesh *mesh, int up, double out[3])
     out[2] = scale * (up == 1 ? sum[2] : -sum[1]);
 }
 
-bool bake_preview_place_views(const struct bake_preview *preview, int up,
+void bake_preview_place_views(const struct bake_preview *preview, int up,
                               struct bake_preview_views *out)
 {
     const struct bake_options *options = preview->options;
@@ -162,13 +114,15 @@ bool bake_preview_place_views(const struct bake_preview *preview, int up,
     if (out->above < 0)
         out->above =
             open ? fmin(fmax(usual_above, high - most_aside), high + most_aside) : usual_above;
-    if (out->from >= 0 || !open || aside < whole / 2)
-        return out->from >= 0;
+    if (out->from >= 0)
+        return;
+    out->from = usual_from;
+    if (!open || aside < whole / 2)
+        return;
     out->step = fan / options->preview_views;
     out->from =
         atan2(facing[0], facing[2]) * radian + lit - out->step * (options->preview_views - 1) / 2;
     out->from += out->from < 0 ? 360 : 0;
-    return true;
 }
 
 /* ---- a view ---- */

@@ -25,9 +25,8 @@ struct preview_view {
     double scan_span;                  /* length of a camera ray that crosses all of the scan */
 };
 
-/* Chooses the views of the options. up: the vertical axis, 1 or 2. Returns false if nothing tells
- * where the first one should be. */
-bool bake_preview_place_views(const struct bake_preview *preview, int up,
+/* Chooses the views of the options. up: the vertical axis, 1 or 2. */
+void bake_preview_place_views(const struct bake_preview *preview, int up,
                               struct bake_preview_views *out);
 
 /* Frames the low-poly mesh. from, above: degrees around, 0 at the front, and down. up: the vertical

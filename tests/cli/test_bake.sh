@@ -273,14 +273,10 @@ for value in 0 361 -1 many; do
 done
 $bake $small plain.nvdb low.obj -o n.png --preview grey.png --view up=x
 code 64
-# The first view is the chosen one, or one of eight.
 ok $bake --device cpu $small plain.nvdb low.obj -o n.png --preview look.png --maps normal --view count=1
-for from in 30 75 120 165 210 255 300 345; do
-    ok $bake --device cpu $small plain.nvdb low.obj -o n.png --preview grey.png --maps normal \
-        --view from=$from,count=1
-    ! cmp -s look.png grey.png || break
-done
-holds "the most telling view is one of eight" cmp -s look.png grey.png
+ok $bake --device cpu $small plain.nvdb low.obj -o n.png --preview grey.png --maps normal \
+    --view from=30,count=1
+holds "the first view is from 30 degrees" cmp -s look.png grey.png
 rm grey.png
 ok $bake $small plain.nvdb low.obj -o lines.exr --maps normal
 ok $bake $small plain.nvdb low.obj -o tiles.exr --maps normal --exr-tiles 40
