@@ -68,7 +68,7 @@ LIBS.bake     = -ldl $(LIBS.tools)
 LIBS.all      = $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 LIBS.tools    = $(shell $(pkg_config) --libs $(pc_tools))
 
-public_headers := base/version.h base/context.h base/options.h base/path_map.h \
+public_headers := base/version.h base/context.h base/options.h \
     formats/file_kind.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
 libs := base formats libvoxel libbake
 # A library is a folder; its subfolders are its rooms.

@@ -12,7 +12,7 @@
 struct bsq_identity;
 
 /* What other files of base keep in a context, in the order in which it is freed. */
-enum bsq_member { BSQ_POOL, BSQ_JOB_FILES, BSQ_SWEEPS, BSQ_PATH_MAP, BSQ_MEMBERS };
+enum bsq_member { BSQ_POOL, BSQ_JOB_FILES, BSQ_SWEEPS, BSQ_MEMBERS };
 
 struct bsq_ctx_member {
     void *object; /* NULL: there is none */

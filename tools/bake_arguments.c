@@ -264,20 +264,6 @@ int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int 
 
 /* ---- which inputs are scans, and which are low-poly meshes ---- */
 
-int bake_arguments_map_inputs(struct cli *cli, struct bake_arguments *arguments)
-{
-    const struct cli_table table = bake_arguments_table(arguments);
-    for (int i = 0; i < arguments->file_count; i++) {
-        const char *path = arguments->files[i];
-        BSQ_PASS(cli_map_input(cli, &path));
-        arguments->files[i] = (char *)(uintptr_t)path;
-    }
-    BSQ_PASS(cli_map_inputs(cli, &table));
-    for (uint32_t i = 0; i < arguments->transfers.count; i++)
-        BSQ_PASS(cli_map_input(cli, &arguments->transfers.maps[i].texture_path));
-    return 0;
-}
-
 /* Writes the inputs that are scans, or those that are not, to `out`. Returns their number, or a
  * negative status. */
 static int take_inputs(struct cli *cli, const struct bake_arguments *arguments, bool scans,

@@ -28,8 +28,6 @@ struct bake_arguments {
 
 /* Reads the command line. Returns what cli_parse() returns. */
 int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int argc, char **argv);
-/* Applies the rules for paths to the inputs of the command line. */
-int bake_arguments_map_inputs(struct cli *cli, struct bake_arguments *arguments);
 /* Finds out which of the inputs are scans (.nvdb, .tris) and which are low-poly meshes. Two files
  * are a scan and a mesh, in this order. Errors: BSQ_EUSAGE, and those of fmt_recognise(). */
 int bake_arguments_sort_inputs(struct cli *cli, struct bake_arguments *arguments);

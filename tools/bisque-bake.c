@@ -37,7 +37,6 @@ done:
 static int bake_tool_work(struct cli *cli, struct bake_arguments *arguments, bool *missed)
 {
     BSQ_PASS(cli_create_context(cli));
-    BSQ_PASS(bake_arguments_map_inputs(cli, arguments));
     if (arguments->list_devices)
         return bake_report_devices(cli);
     BSQ_PASS(bake_arguments_sort_inputs(cli, arguments));

@@ -112,6 +112,10 @@ static int compare_tool_parse_arguments(struct cli *cli, struct arguments *argum
         return cli_usage(cli, "--min-agreement: %g is not a share from 0 to 1", agreement);
     if (!isnan(agreement) && !has_agreement(&arguments->compare))
         return cli_usage(cli, "--min-agreement needs --mask-a and --mask-b");
+    if (!arguments->compare.a_mask_path)
+        arguments->compare.a_mask_path = arguments->mask;
+    if (!arguments->compare.b_mask_path)
+        arguments->compare.b_mask_path = arguments->mask;
     return 0;
 }
 
@@ -217,20 +221,6 @@ done:
     return status;
 }
 
-/* Applies the rules for paths to the inputs, and gives both maps the mask that they share. */
-static int map_inputs(struct cli *cli, struct arguments *arguments)
-{
-    struct bake_compare_options *compare = &arguments->compare;
-    BSQ_PASS(cli_map_inputs(cli, &(struct cli_table){rows, ROWS, arguments, NULL}));
-    BSQ_PASS(cli_map_input(cli, &compare->a_path));
-    BSQ_PASS(cli_map_input(cli, &compare->b_path));
-    if (!compare->a_mask_path)
-        compare->a_mask_path = arguments->mask;
-    if (!compare->b_mask_path)
-        compare->b_mask_path = arguments->mask;
-    return 0;
-}
-
 /* ---- a mesh and a scan ---- */
 
 /* Measures the distances between the surfaces. */
@@ -311,7 +301,6 @@ static int refuse_meshes(struct cli *cli, const struct arguments *arguments)
 static int compare(struct cli *cli, struct arguments *arguments, int *failures)
 {
     bool surfaces = true; /* all inputs but the first are chunk files */
-    BSQ_PASS(map_inputs(cli, arguments));
     for (uint32_t i = 1; i < arguments->input_count && surfaces; i++) {
         enum fmt_kind kind = FMT_KIND_MESH;
         BSQ_PASS(fmt_recognise(cli->ctx, arguments->inputs[i], &kind));

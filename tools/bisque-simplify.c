@@ -209,17 +209,6 @@ static int simplify_tool_parse_arguments(struct cli *cli, struct arguments *argu
 
 /* ---- the work ---- */
 
-/* Finds out which inputs are meshes and which are chunk files. */
-static int simplify_tool_recognise_inputs(struct cli *cli, struct arguments *arguments,
-                                          const char **inputs, uint32_t count)
-{
-    for (uint32_t i = 0; i < count; i++)
-        BSQ_PASS(cli_map_input(cli, &inputs[i]));
-    return cli_recognise_scans(cli, inputs, count,
-                               "a grid has no triangles; give the scan or its chunk file (.tris)",
-                               &arguments->scans);
-}
-
 /* Sorts the meshes into a temporary chunk file. */
 static int sort_meshes(struct cli *cli, const struct arguments *arguments,
                        struct vox_temp_tris *temp, struct vox_sort_report *report)
@@ -305,7 +294,9 @@ static int simplify_tool_run(struct cli *cli, struct arguments *arguments, const
     struct vox_temp_tris *temp = NULL;
     int status = 0;
     BSQ_TRY(cli_create_context(cli));
-    BSQ_TRY(simplify_tool_recognise_inputs(cli, arguments, inputs, input_count));
+    BSQ_TRY(cli_recognise_scans(cli, inputs, input_count,
+                                "a grid has no triangles; give the scan or its chunk file (.tris)",
+                                &arguments->scans));
     if (arguments->scans.mesh_count > 0) {
         BSQ_TRY(vox_temp_tris_create(cli->ctx, &temp));
         BSQ_TRY(sort_meshes(cli, arguments, temp, &sorted));

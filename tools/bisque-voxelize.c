@@ -378,7 +378,6 @@ static int voxelize_tool_run(struct voxelize_job *job)
     struct cli *cli = job->cli;
     struct voxelize_arguments *arguments = job->arguments;
     BSQ_PASS(cli_create_context(cli));
-    BSQ_PASS(voxelize_arguments_map_inputs(cli, arguments));
     if (cli->verify)
         return cli_verify(cli, (char *const *)arguments->inputs, (int)arguments->input_count);
     if (arguments->info)

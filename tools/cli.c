@@ -12,9 +12,6 @@
 #include <strings.h>
 #include <unistd.h>
 
-#include "base/file.h"
-#include "base/path_map.h"
-#include "base/text.h"
 #include "formats/file_kind.h"
 
 /* ---- signals ---- */
@@ -135,73 +132,6 @@ void *cli_extend(const void *list, size_t count, size_t element_bytes)
     return out;
 }
 
-/* ---- rules for paths: JSON, Open Job Description's pathmapping-1.0 ---- */
-
-static int fail_rules(struct cli *cli, const char *what)
-{
-    return bsq_fail(cli->ctx, BSQ_EDATA, "%s: no rules of pathmapping-1.0: %s", cli->path_map,
-                    what);
-}
-
-/* Adds one rule. */
-static int cli_add_rule(struct cli *cli, const json_t *rule)
-{
-    static const char *const formats[] = {"POSIX", "WINDOWS", "URI"};
-    const char *format = json_string_value(json_object_get(rule, "source_path_format"));
-    const char *source = json_string_value(json_object_get(rule, "source_path"));
-    const char *destination = json_string_value(json_object_get(rule, "destination_path"));
-    unsigned i = 0;
-    if (!format || !source || !destination || !*source)
-        return fail_rules(cli, "a rule has no format, source or destination");
-    while (i < 3 && strcmp(formats[i], format) != 0)
-        i++;
-    if (i == 3)
-        return fail_rules(cli, "a format is not POSIX, WINDOWS or URI");
-    return bsq_add_path_rule(cli->ctx, (enum bsq_path_format)i, source, destination);
-}
-
-static int add_rules(struct cli *cli, const json_t *root)
-{
-    const char *version = json_string_value(json_object_get(root, "version"));
-    const json_t *rules = json_object_get(root, "path_mapping_rules");
-    /* Open Job Description gives an empty object if there are no rules. */
-    if (json_is_object(root) && json_object_size(root) == 0)
-        return 0;
-    if (!version || strcmp(version, "pathmapping-1.0") != 0)
-        return fail_rules(cli, "another version");
-    if (rules && !json_is_array(rules))
-        return fail_rules(cli, "path_mapping_rules is no list");
-    for (size_t i = 0; i < json_array_size(rules); i++)
-        BSQ_PASS(cli_add_rule(cli, json_array_get(rules, i)));
-    return 0;
-}
-
-/* Reads the rules of --path-map, which apply to names in files from then on. */
-static int load_path_map(struct cli *cli)
-{
-    struct bsq_file file = BSQ_FILE_CLOSED;
-    char *text = NULL;
-    json_t *root = NULL;
-    json_error_t error;
-    uint64_t bound = 0;
-    int status = 0;
-    if (!cli->path_map)
-        return 0;
-    BSQ_TRY(bsq_file_open_as(cli->ctx, cli->path_map, BSQ_OPEN_OTHER, &file));
-    BSQ_TRY(bsq_alloc(cli->ctx, "rules for paths", file.size + 1, 1, &text));
-    BSQ_TRY(bsq_file_read(cli->ctx, &file, text, file.size, 0));
-    BSQ_TRY(bsq_reserve(cli->ctx, "rules for paths", bsq_json_bound(text, file.size)));
-    bound = bsq_json_bound(text, file.size);
-    root = json_loadb(text, file.size, JSON_REJECT_DUPLICATES, &error);
-    status = root ? add_rules(cli, root) : fail_rules(cli, error.text);
-done:
-    json_decref(root);
-    bsq_release(cli->ctx, bound);
-    bsq_free(cli->ctx, text);
-    bsq_file_close(cli->ctx, &file);
-    return status;
-}
-
 /* ---- the context ---- */
 
 int cli_create_context(struct cli *cli)
@@ -232,7 +162,7 @@ int cli_create_context(struct cli *cli)
     catch_signal(SIGHUP);
     if (cli_prints_percent(cli))
         cli_percent_begin(cli);
-    return load_path_map(cli);
+    return 0;
 }
 
 int cli_usage(struct cli *cli, const char *format, ...)
@@ -292,15 +222,6 @@ int cli_check_outputs(struct cli *cli, const char *const *paths, unsigned count)
         if (paths[i])
             BSQ_PASS(bsq_output_check(cli->ctx, paths[i]));
     }
-    return 0;
-}
-
-int cli_map_input(struct cli *cli, const char **path)
-{
-    const char *mapped = *path ? bsq_map_path(cli->ctx, *path) : NULL;
-    if (*path && !mapped)
-        return BSQ_ENOMEM;
-    *path = mapped;
     return 0;
 }
 

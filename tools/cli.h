@@ -36,7 +36,6 @@ struct cli {
     uint64_t memory_bytes; /* 0: not given */
     unsigned threads;      /* 0: not given */
     const char *tmpdir;
-    const char *path_map; /* file with rules for paths; NULL: none */
     enum cli_progress progress;
     bool json;   /* print results as JSON */
     bool verify; /* only check files */
@@ -167,12 +166,6 @@ int cli_join(struct cli *cli, const char *const *paths, uint32_t count,
  * what is wrong on standard error. Checks all of them; returns the status of the first that failed.
  */
 int cli_verify(struct cli *cli, char *const *paths, int count);
-
-/* Applies the rules of --path-map to an input of the command line; *path may be NULL. */
-int cli_map_input(struct cli *cli, const char **path);
-
-/* Applies them to all inputs of a table. */
-int cli_map_inputs(struct cli *cli, const struct cli_table *table);
 
 /* ---- progress as lines for schedulers: openjd, percent and alf ---- */
 

@@ -228,8 +228,6 @@ static const struct bsq_option common_rows[] = {
              "else a line every 30 s);\n"
              "openjd, percent or alf: lines for schedulers"),
      MEMBER(CHOICE, progress), .words = "auto bar none json openjd percent alf"},
-    {BSQ_ROW("path-map", "FILE", "rules for paths on this machine (pathmapping-1.0)"),
-     MEMBER(TEXT, path_map)},
     {BSQ_ROW("json", NULL, "print the results as JSON"), MEMBER(FLAG, json)},
     {BSQ_ROW("help", NULL, "print this help"), MEMBER(FLAG, help)},
     {BSQ_ROW("version", NULL, "print the version"), MEMBER(FLAG, version)},
@@ -437,14 +435,4 @@ bool cli_is_given(const struct cli_table *table, const char *name)
     for (size_t i = 0; i < table->count; i++)
         given |= table->given[i] && table->rows[i].name && strcmp(table->rows[i].name, name) == 0;
     return given;
-}
-
-/* ---- paths ---- */
-
-int cli_map_inputs(struct cli *cli, const struct cli_table *table)
-{
-    for (const struct bsq_option *row = table->rows; row < table->rows + table->count; row++)
-        if (row->kind == BSQ_OPTION_INPUT)
-            BSQ_PASS(cli_map_input(cli, bsq_option_at(row, table->options)));
-    return 0;
 }

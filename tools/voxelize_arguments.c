@@ -357,15 +357,3 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
     BSQ_PASS(scan_args_check(cli, arguments));
     return scan_args_finish(cli, arguments);
 }
-
-int voxelize_arguments_map_inputs(struct cli *cli, struct voxelize_arguments *arguments)
-{
-    const struct cli_table table = scan_args_table(arguments);
-    const char **inputs = (const char **)(uintptr_t)arguments->inputs;
-    BSQ_PASS(cli_map_inputs(cli, &table));
-    for (uint32_t i = 0; i < arguments->sort.channel_count; i++)
-        BSQ_PASS(cli_map_input(cli, &arguments->channels[i].texture_path));
-    for (uint32_t i = 0; i < arguments->input_count; i++)
-        BSQ_PASS(cli_map_input(cli, &inputs[i]));
-    return 0;
-}

@@ -28,9 +28,6 @@ struct voxelize_arguments {
 int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *arguments, int argc,
                              char **argv);
 
-/* Applies the rules for paths to the inputs of the command line. */
-int voxelize_arguments_map_inputs(struct cli *cli, struct voxelize_arguments *arguments);
-
 /* Checks the options if chunk files, such as `part`, are among the inputs. */
 int voxelize_arguments_check_part(struct cli *cli, const struct voxelize_arguments *arguments,
                                   const char *part, bool beside_meshes);

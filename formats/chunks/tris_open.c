@@ -5,7 +5,6 @@
 #include "formats/chunks/tris_internal.h"
 #include "formats/material/channels.h"
 #include "formats/material/file_extent.h"
-#include "base/path_map.h"
 #include "formats/material/tile_files.h"
 
 #include <inttypes.h>
@@ -188,17 +187,15 @@ static int name_image(struct fmt_tris_file *file, const char *range, char **out)
 static int parse_path(struct fmt_tris_file *file, struct cursor *cursor, uint32_t length,
                       char **out)
 {
-    char *path;
     if (length == TRIS_NO_PATH)
         return 0;
-    if (!take_text(cursor, length, &path))
+    if (!take_text(cursor, length, out))
         return fmt_tris_damaged(file, "a texture's path is cut off");
-    if (path[0] == '#')
-        return name_image(file, path, out);
-    if (path[0] != '/')
+    if (**out == '#')
+        return name_image(file, *out, out);
+    if (**out != '/')
         return fmt_tris_damaged(file, "a texture's path is not absolute");
-    *out = (char *)(uintptr_t)bsq_map_path(file->ctx, path);
-    return *out ? note_texture(file, *out) : BSQ_ENOMEM;
+    return note_texture(file, *out);
 }
 
 /* Takes how an image wraps, and whether it is sRGB, out of the bits of a source. Returns false if

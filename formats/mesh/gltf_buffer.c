@@ -7,7 +7,6 @@
 #include <string.h>
 #include <sys/stat.h>
 
-#include "base/path_map.h"
 #include "formats/mesh/gltf_internal.h"
 #include "formats/mesh/mesh_text.h"
 
@@ -42,11 +41,8 @@ static size_t scheme_length(const char *uri)
 static int find_exactly(struct bsq_ctx *ctx, const char *beside, const char *name, char **out,
                         bool *exists)
 {
-    const char *mapped = bsq_map_path(ctx, name);
     struct stat info;
-    if (!mapped)
-        return BSQ_ENOMEM;
-    BSQ_PASS(fmt_path_beside(ctx, beside, mapped, out));
+    BSQ_PASS(fmt_path_beside(ctx, beside, name, out));
     *exists = stat(*out, &info) == 0 && S_ISREG(info.st_mode);
     return 0;
 }

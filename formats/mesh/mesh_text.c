@@ -8,7 +8,6 @@
 #include <sys/stat.h>
 
 #include "base/file.h"
-#include "base/path_map.h"
 #include "base/text.h"
 #include "formats/material/tile_files.h"
 
@@ -172,17 +171,15 @@ static int match_capitals(struct bsq_ctx *ctx, char *path, size_t from, bool *fo
 static int try_name(struct bsq_ctx *ctx, const char *beside, const char *text, enum form form,
                     char **out)
 {
-    const char *mapped = bsq_map_path(ctx, text), *name = mapped;
+    const char *name = text;
     bool found = false;
-    if (!mapped)
-        return BSQ_ENOMEM;
     if (form == LAST_COMPONENT) {
-        name = bsq_file_name(mapped);
+        name = bsq_file_name(text);
         const char *backslash = strrchr(name, '\\');
         name = backslash ? backslash + 1 : name;
     }
     const bool tried =
-        (form == WITH_SLASHES && !strchr(name, '\\')) || (form == LAST_COMPONENT && name == mapped);
+        (form == WITH_SLASHES && !strchr(name, '\\')) || (form == LAST_COMPONENT && name == text);
     if (!*name || tried)
         return 0;
     const size_t directory = name[0] == '/' ? 0 : directory_length(beside);
@@ -204,7 +201,6 @@ int fmt_path_find(struct bsq_ctx *ctx, const char *beside, const char *name, cha
                   bool *exists)
 {
     char *bare = NULL;
-    const char *mapped;
     int status;
     *out = NULL;
     BSQ_TRY(bsq_text_copy(ctx, name, &bare));
@@ -219,8 +215,7 @@ int fmt_path_find(struct bsq_ctx *ctx, const char *beside, const char *name, cha
         goto done;
     if (!quoted)
         fmt_mesh_tidy_name(bare);
-    mapped = bsq_map_path(ctx, bare);
-    status = mapped ? fmt_path_beside(ctx, beside, mapped, out) : BSQ_ENOMEM;
+    status = fmt_path_beside(ctx, beside, bare, out);
 done:
     bsq_free(ctx, bare);
     return status;

@@ -190,8 +190,8 @@ static int shading_find_textures(const struct fmt_shading *shading)
             !is_own(shading->header, source.path))
             continue;
         return bsq_fail(shading->ctx, BSQ_ENOINPUT,
-                        "%s: its texture %s is missing: put it there, name its new place by "
-                        "--path-map, or sort the scan with --embed-textures",
+                        "%s: its texture %s is missing: put it there, or sort the scan with "
+                        "--embed-textures",
                         shading->path, source.path);
     }
     return 0;

@@ -273,52 +273,27 @@ fi
 # ---- paths ----
 
 # The scan names a texture by a path of another machine; another picture is another input.
-mkdir -p here/textures
-printf 'P3 2 1 255 250 10 20 30 40 250' >here/textures/skin.ppm
+mkdir here
+printf 'P3 2 1 255 250 10 20 30 40 250' >here/skin.ppm
 sed 's/^v \([^ ]* [^ ]* [^ ]*\).*/v \1/' low.obj >here/skin.obj
 sed -i '1i mtllib skin.mtl' here/skin.obj
 sed -i 's/^f 4/usemtl skin\nf 4/' here/skin.obj
 printf 'newmtl skin\nmap_Kd Z:\\Studio\\textures\\skin.ppm\n' >here/skin.mtl
-cat >rules.json <<JSON
-{"version": "pathmapping-1.0", "path_mapping_rules": [
-{"source_path_format": "WINDOWS", "source_path": "z:\\\\", "destination_path": "/nowhere"},
-{"source_path_format": "WINDOWS", "source_path": "z:\\\\studio", "destination_path": "$PWD/here"},
-{"source_path_format": "POSIX", "source_path": "/mnt/farm", "destination_path": "$PWD/here"},
-{"source_path_format": "POSIX", "source_path": "/mnt", "destination_path": "/nowhere"}]}
-JSON
-ok run bisque-voxelize /mnt/farm/skin.obj -o here/skin.nvdb --resolution 24 --path-map rules.json
-holds "the texture is found by the rules" grep -aq "$PWD/here/textures/skin.ppm" here/skin.tris
+ok run bisque-voxelize here/skin.obj -o here/skin.tris
+holds "the texture is found beside" grep -aq "$PWD/here/skin.ppm" here/skin.tris
 skin="$size --low normals=angle --maps color -o farm/<MAP>.<UDIM>.exr"
 ok $bake here/skin.tris low.obj $size --low normals=angle --maps color -o 'skin.<UDIM>.exr'
-ok $bake /mnt/farm/skin.tris low.obj $skin --part 1/2 --path-map rules.json
-jq -c --arg here "$PWD/here" '{version: "pathmapping-1.0", path_mapping_rules: [{source_path_format: "POSIX",
-    source_path: $here, destination_path: ($here | sub("here$"; "other"))}]}' -n >moved.json
-mv here other
-ok $bake other/skin.tris low.obj $skin --part 2/2 --path-map moved.json
-cp other/textures/skin.ppm skin.ppm
-printf 'P3 2 1 255 250 10 20 30 40 251' >other/textures/skin.ppm
-$bake other/skin.tris low.obj $skin --merge 2 --path-map moved.json
+ok $bake here/skin.tris low.obj $skin --part 1/2
+cp here/skin.tris moved.tris
+ok $bake moved.tris low.obj $skin --part 2/2
+cp here/skin.ppm skin.ppm
+printf 'P3 2 1 255 250 10 20 30 40 251' >here/skin.ppm
+$bake moved.tris low.obj $skin --merge 2
 refused_like 65 "^$p farm/part-1-of-2\.10.2\.exr: a part of a bake with other inputs$again"
-mv skin.ppm other/textures
-ok $bake other/skin.tris low.obj $skin --merge 2 --path-map moved.json
+mv skin.ppm here
+ok $bake moved.tris low.obj $skin --merge 2
 for tile in 1002 1012; do
     same skin.$tile.exr farm/color.$tile.exr
-done
-for bad in '{' '[]' '{"version": "pathmapping-2.0"}' '{"version": "pathmapping-1.0", "path_mapping_rules": 3}' \
-    '{"version": "pathmapping-1.0", "path_mapping_rules": [{"source_path_format": "POSIX", "source_path": "/a"}]}' \
-    '{"version": "pathmapping-1.0", "path_mapping_rules": [{"source_path_format": "DOS", "source_path": "/a", "destination_path": "/b"}]}'; do
-    echo "$bad" >bad.json
-    $bake $whole --part 1/3 --path-map bad.json
-    refused_like 65 "^$p bad\.json: no rules of pathmapping-1\.0: "
-done
-# What the parser would allocate is reserved from the budget: here about 100 bytes for each byte.
-awk 'BEGIN { printf "["; for (i = 0; i < 300000; i++) printf "{},"; print "{}]" }' >wide.json
-$bake $whole --part 1/3 --path-map wide.json --memory 60M
-code 71
-rm wide.json
-for none in '{"version": "pathmapping-1.0"}' '{}'; do
-    echo "$none" >none.json
-    ok $bake $whole --part 1/3 --path-map none.json
 done
 
 # ---- progress ----

@@ -147,14 +147,6 @@ job a.exr -- bisque-bake scan.nvdb low.obj --device cpu --size 512 --samples 1 -
 torture -m 8 ENOSPC
 torture -m 8 -c read EIO
 
-# ---- rules for paths ----
-
-printf '{"version": "pathmapping-1.0", "path_mapping_rules": [{"source_path_format": "POSIX", "source_path": "/far", "destination_path": "%s"}]}' \
-    "$(pwd -P)" >rules.json
-job a.nvdb -- bisque-voxelize /far/scan.obj -o a.nvdb --resolution 16 --no-tris --path-map rules.json
-torture -m 12 -c read EIO
-torture -m 12 -c read EINTR
-
 # ---- helpers: OpenVDB and textures ----
 
 job a.nvdb a.vdb -- bisque-voxelize scan.tris -o a.nvdb --resolution 16 --vdb a.vdb --threads 2

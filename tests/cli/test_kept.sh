@@ -132,7 +132,7 @@ json '.scan.outer_texture == null'
 mv inner.tris away/moved.tris
 rm dot.ppm
 $vox outer.tris -o x.nvdb
-refused 66 "$p outer.tris: its texture $(pwd -P)/dot.ppm is missing: put it there, name its new place by --path-map, or sort the scan with --embed-textures"
+refused 66 "$p outer.tris: its texture $(pwd -P)/dot.ppm is missing: put it there, or sort the scan with --embed-textures"
 ok $vox away/moved.tris --channels all -o moved.nvdb
 same outer.nvdb moved.nvdb
 size=$(wc -c <away/dot.ppm)

@@ -165,7 +165,7 @@ class Grid(Job):
     def run(self, runner, more=(), given=None, rng=None, output=None, files=None, stdin=os.devnull,
             environment=None):
         given = self.given if given is None else given
-        words = trials.words(given, rng) + list(more) + trials.names(files or self.scan.files, given)
+        words = trials.words(given, rng) + list(more) + (files or self.scan.files)
         return runner.run("bisque-voxelize", words + ["-o", output or self.name], environment, stdin)
 
     def files(self, runner):
@@ -181,7 +181,7 @@ class Bake(Job):
     def run(self, runner, more=(), given=None, rng=None, scans=None, environment=None, device="cpu"):
         trial = self.trial
         given = trial.bake if given is None else given
-        files = trials.names([scan.path for scan in scans or trial.scans] + trial.lows, given)
+        files = [scan.path for scan in scans or trial.scans] + trial.lows
         words = ["--device", device] + trials.words(given, rng) + files + ["-o", trial.name] + list(more)
         return runner.run("bisque-bake", words, environment)
 
@@ -201,7 +201,7 @@ class Simplification(Job):
 
     def run(self, runner, more=(), given=None, rng=None, files=None, environment=None):
         given = self.given if given is None else given
-        words = trials.words(given, rng) + list(more) + trials.names(files or self.scan.files, given)
+        words = trials.words(given, rng) + list(more) + (files or self.scan.files)
         return runner.run("bisque-simplify", words + ["-o", self.trial.low_name], environment)
 
     def files(self, runner):
@@ -330,7 +330,7 @@ def pipe_of(runner, job, rng):
     files = list(job.scan.files)
     k = rng.randrange(len(files))
     name, files[k] = os.path.basename(files[k]), "-"
-    given = [one for one in job.given if one[0].name not in ("path-map", "no-tris", "embed-textures", "vdb")]
+    given = [one for one in job.given if one[0].name not in ("no-tris", "embed-textures", "vdb")]
     return {"more": ["--no-tris"], "given": given, "output": "../%s/%s" % (runner.way, job.name), "files": files,
             "stdin": name}
 

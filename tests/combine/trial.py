@@ -1,6 +1,5 @@
 """A trial: random files and random options, as data that can be run again with less of it."""
 
-import json
 import os
 import re
 
@@ -15,7 +14,7 @@ OWN = {
     "bisque-compare": "memory threads help version",
 }
 # Options that must not change a byte.
-IDLE = {"progress", "json", "tmpdir", "path-map", "gpu-memory"}
+IDLE = {"progress", "json", "tmpdir", "gpu-memory"}
 SHARE = 0.15  # of the options that are given
 SIZES = {"size", "resolution", "voxel-size"}  # without one, a trial takes long
 NEEDED = SIZES | {"triangles", "error"}
@@ -23,7 +22,6 @@ EACH = {"scale", "up", "translate"}  # may be given for each file of a scan
 ODD = "\nforged line\x1b[2K"  # in some names of files
 FORGED = "(?m)^forged line"
 TEMPORARY = "temporary"  # directory of --tmpdir, beside the inputs
-FAR = "/combine/studio/"  # where --path-map says that the inputs lie
 UNKNOWN = set()  # options with a syntax of their own that no function here draws
 
 
@@ -48,7 +46,6 @@ class Trial:
         self.odd = ODD if self.object_count == 1 and random.random() < 0.1 else ""
         self.has_uvs, self.has_colors = random.random() < 0.6, random.random() < 0.6
         self.write_images()
-        self.write_rules()
         self.scans = self.make_scans()
         self.lows = self.make_lows()
         self.bake = self.draw("bisque-bake")
@@ -67,11 +64,6 @@ class Trial:
         with open(os.path.join(self.inputs, "scan.mtl"), "w") as out:
             out.write("newmtl clay\nKd 0.8 0.3 0.2\nmap_Pr rough%s\nnewmtl glaze\nKd 0.1 0.5 0.9\n" % self.image)
             out.write("map_Kd color%s\n" % self.image if self.random.random() < 0.5 else "")
-
-    def write_rules(self):
-        rule = {"source_path_format": "POSIX", "source_path": FAR.rstrip("/"), "destination_path": "../in"}
-        with open(os.path.join(self.inputs, "rules.json"), "w") as out:
-            json.dump({"version": "pathmapping-1.0", "path_mapping_rules": [rule]}, out)
 
     def make_scans(self):
         """Writes scans, one for each object or several for all, each in some files."""
@@ -263,9 +255,6 @@ class Trial:
     def draw_tmpdir(self, program):
         return "../in/" + TEMPORARY
 
-    def draw_path_map(self, program):
-        return "../in/rules.json"
-
     def draw_triangles(self, program):
         counts = self.random.sample(range(4, 200), self.random.choice([1, 1, 3]))
         self.low_name = ("m_low_<N>" if len(counts) > 1 else "m_low") + self.odd + self.random.choice([".obj", ".ply", ".glb"])
@@ -306,11 +295,6 @@ class Trial:
 def value(name, given):
     """Returns the value of an option by its name, "" for one without; None if it is not given."""
     return next((drawn for option, drawn in given if option.name == name), None)
-
-
-def names(files, given):
-    """Returns the names of inputs; with --path-map, those that they have on another machine."""
-    return [file.replace("../in/", FAR) for file in files] if value("path-map", given) is not None else files
 
 
 def words(given, random=None):
