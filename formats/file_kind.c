@@ -73,8 +73,6 @@ static int verify_nvdb(struct bsq_ctx *ctx, const char *path, struct fmt_verify_
     struct fmt_nvdb_grid grid;
     BSQ_PASS(fmt_nvdb_open(ctx, path, &grid));
     report->version = (uint32_t)fmt_nvdb_trailer_version(&grid);
-    fmt_nvdb_version(grid.info.type, report->nanovdb_version);
-    report->is_mask = grid.info.type == FMT_NVDB_MASK;
     report->triangles = grid.info.source_triangles;
     report->voxels = grid.voxel_count;
     report->second_records = grid.record_count - 1 - grid.voxel_count;

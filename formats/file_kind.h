@@ -28,19 +28,17 @@ int fmt_recognise_scan(struct bsq_ctx *ctx, const char *path, enum fmt_kind *out
 
 /** What fmt_verify() found. */
 struct fmt_verify_report {
-    size_t size;         /**< Of the structure, see bsq_clear_report(). */
-    enum fmt_kind kind;  /**< FMT_KIND_TRIS or FMT_KIND_NVDB. */
-    uint32_t version;    /**< Of the chunk file, or of the grid's trailer. */
-    uint64_t file_bytes; /**< Size of the file. */
-    uint64_t triangles;  /**< Triangles of the scan. */
-    uint64_t chunks;     /**< Chunk file only, like the next one. */
-    uint64_t vertices;   /**< Vertices of all chunks; those of several chunks count again. */
-    bool is_mask;        /**< Grid only, like all below: of NanoVDB's type mask, else onindex. */
-    uint32_t nanovdb_version[3]; /**< Major, minor, patch. */
-    uint64_t voxels;             /**< Occupied voxels. */
-    uint64_t second_records;     /**< Voxels with a second surface. */
-    double voxel_size;           /**< Edge of a voxel in the scan's units. */
-    bool has_color;              /**< The voxels have colours. */
+    size_t size;             /**< Of the structure, see bsq_clear_report(). */
+    enum fmt_kind kind;      /**< FMT_KIND_TRIS or FMT_KIND_NVDB. */
+    uint32_t version;        /**< Of the chunk file, or of the grid's trailer. */
+    uint64_t file_bytes;     /**< Size of the file. */
+    uint64_t triangles;      /**< Triangles of the scan. */
+    uint64_t chunks;         /**< Chunk file only, like the next one. */
+    uint64_t vertices;       /**< Vertices of all chunks; those of several chunks count again. */
+    uint64_t voxels;         /**< Occupied voxels. Grid only, like all below. */
+    uint64_t second_records; /**< Voxels with a second surface. */
+    double voxel_size;       /**< Edge of a voxel in the scan's units. */
+    bool has_color;          /**< The voxels have colours. */
 };
 
 /** Recognises a file by its content, reads it whole, and checks everything that FORMATS.md

@@ -168,12 +168,6 @@ int vox_parse(struct bsq_ctx *ctx, const struct vox_sort_options *options,
  * threads. */
 uint64_t vox_memory_min(unsigned threads);
 
-/** NanoVDB types of a grid. Both have the same nodes and channels. */
-enum vox_grid_type {
-    VOX_GRID_MASK,   /**< Readable by NanoVDB 32.4.2 and later. */
-    VOX_GRID_ONINDEX /**< Readable by NanoVDB 32.6 and later. */
-};
-
 /** The largest resolution, in voxels along the longest side. */
 #define VOX_RESOLUTION_MAX (UINT32_C(1) << 30)
 
@@ -188,7 +182,6 @@ struct vox_voxelize_options {
                             counts. */
     double voxel_size;   /**< Edge of a voxel in the scan's units. Voxels are then aligned to its
                             multiples. */
-    enum vox_grid_type grid_type;       /**< NanoVDB type of the grid. */
     enum bsq_scan_normals scan_normals; /**< Normals of a scan without normals. If its edges are
                                            shorter than 0.7 voxels, all choices are the same. */
     const char *vdb_path;               /**< Output: an OpenVDB file, or NULL. */

@@ -35,7 +35,7 @@ both()
         eval "bin=\$$build/bin"
         {
             "$bin/bisque-voxelize" "$scan" -o s.nvdb --resolution 300 --vdb s.vdb "$@"
-            "$bin/bisque-voxelize" s.tris -o fine.nvdb --resolution 900 --grid-type onindex
+            "$bin/bisque-voxelize" s.tris -o fine.nvdb --resolution 900
             for surface in nvdb tris; do
                 "$bin/bisque-bake" s.$surface "$low" -o "${surface}_<MAP>.exr" --size 300x200 --device cpu \
                     --maps normal,mask --preview $surface.png

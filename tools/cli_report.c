@@ -217,12 +217,10 @@ static void print_content(const char *path, const struct fmt_verify_report *r)
                   triangles.text, cli_counted(r->vertices, "vertex", "vertices").text,
                   cli_counted(r->chunks, "chunk", "chunks").text, size.text);
     else
-        cli_print(
-            "%s: ok (surface grid of version %u, NanoVDB %u.%u.%u %s: %s and %s of %s%s, %s)\n",
-            path, r->version, r->nanovdb_version[0], r->nanovdb_version[1], r->nanovdb_version[2],
-            r->is_mask ? "mask" : "onindex", cli_counted(r->voxels, "voxel", "voxels").text,
-            cli_counted(r->second_records, "second record", "second records").text, triangles.text,
-            r->has_color ? ", with colour" : "", size.text);
+        cli_print("%s: ok (surface grid of version %u: %s and %s of %s%s, %s)\n", path, r->version,
+                  cli_counted(r->voxels, "voxel", "voxels").text,
+                  cli_counted(r->second_records, "second record", "second records").text,
+                  triangles.text, r->has_color ? ", with colour" : "", size.text);
 }
 
 static json_t *content_json(const char *path, const struct fmt_verify_report *r)
@@ -232,10 +230,8 @@ static json_t *content_json(const char *path, const struct fmt_verify_report *r)
                          "ok", 1, "kind", "tris", "version", (int)r->version,
                          CLI_COUNT(r, file_bytes), CLI_COUNT(r, triangles), CLI_COUNT(r, vertices),
                          CLI_COUNT(r, chunks));
-    return json_pack("{s:o, s:b, s:s, s:i, s:[i, i, i], s:s, s:I, s:I, s:I, s:I, s:f, s:b}", "path",
+    return json_pack("{s:o, s:b, s:s, s:i, s:I, s:I, s:I, s:I, s:f, s:b}", "path",
                      cli_json_text(path), "ok", 1, "kind", "nvdb", "version", (int)r->version,
-                     "nanovdb_version", (int)r->nanovdb_version[0], (int)r->nanovdb_version[1],
-                     (int)r->nanovdb_version[2], "grid_type", r->is_mask ? "mask" : "onindex",
                      CLI_COUNT(r, file_bytes), CLI_COUNT(r, triangles), CLI_COUNT(r, voxels),
                      CLI_COUNT(r, second_records), CLI_VALUE(r, voxel_size), "has_color",
                      (int)r->has_color);

@@ -31,8 +31,6 @@ static const struct bsq_option rows[] = {
              "edge of a voxel in the scan's units, instead of a resolution\n"
              "(default: by the resolution)"),
      MEMBER(NUMBER, grid.voxel_size), BSQ_RANGE(0, DBL_MAX, 0), .positive = true, .needs = GRID},
-    {BSQ_ROW("grid-type", "TYPE", "mask or onindex (NanoVDB 32.6 and later)"),
-     MEMBER(CHOICE, grid.grid_type), .words = "mask onindex", .needs = GRID},
     {BSQ_ROW("vdb", "FILE", "also write the grid as an OpenVDB file"),
      MEMBER(OUTPUT, grid.vdb_path), .needs = GRID},
 

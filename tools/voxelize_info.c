@@ -305,14 +305,13 @@ static int describe_grid(struct bsq_ctx *ctx, const char *path, json_t **out)
     for (uint32_t c = 0; c < count; c++)
         add_once(&channels, names[c]);
     *out = json_pack(
-        "{s:s, s:s, s:I, s:I, s:o, s:f, s:[i, i, i], s:[i, i, i], s:I, s:I, s:b, s:s?, s:o}",
-        "format", "grid (NanoVDB)", "type", grid.info.type == FMT_NVDB_MASK ? "mask" : "onindex",
-        "version", (json_int_t)fmt_nvdb_trailer_version(&grid), "bytes", (json_int_t)grid.map.size,
-        "box", box_json(grid.info.scan_min, grid.info.scan_max), "voxel_size", grid.info.voxel_size,
-        "index_min", grid.index_min[0], grid.index_min[1], grid.index_min[2], "index_max",
-        grid.index_max[0], grid.index_max[1], grid.index_max[2], "voxels",
-        (json_int_t)grid.voxel_count, "source_triangles", (json_int_t)grid.info.source_triangles,
-        "color", (int)grid.info.has_color, "ids",
+        "{s:s, s:I, s:I, s:o, s:f, s:[i, i, i], s:[i, i, i], s:I, s:I, s:b, s:s?, s:o}", "format",
+        "grid (NanoVDB)", "version", (json_int_t)fmt_nvdb_trailer_version(&grid), "bytes",
+        (json_int_t)grid.map.size, "box", box_json(grid.info.scan_min, grid.info.scan_max),
+        "voxel_size", grid.info.voxel_size, "index_min", grid.index_min[0], grid.index_min[1],
+        grid.index_min[2], "index_max", grid.index_max[0], grid.index_max[1], grid.index_max[2],
+        "voxels", (json_int_t)grid.voxel_count, "source_triangles",
+        (json_int_t)grid.info.source_triangles, "color", (int)grid.info.has_color, "ids",
         grid.info.ids == FMT_IDS_NONE ? NULL : fmt_ids_text(grid.info.ids), "channels", channels);
     bsq_free(ctx, names);
     fmt_nvdb_close(ctx, &grid);

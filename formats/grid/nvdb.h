@@ -33,10 +33,7 @@ struct fmt_nvdb_record {
 enum { FMT_NVDB_FACET_NOISE_SHIFT = 26, FMT_NVDB_FACET_NOISE_MAX = 7 };
 enum { FMT_NVDB_PLANE_MAX = 28507 }; /* greatest |d| * 32767 */
 
-enum fmt_nvdb_type { FMT_NVDB_MASK = 8, FMT_NVDB_ONINDEX = 20 }; /* NanoVDB's GridType numbers */
-
 struct fmt_nvdb_info {
-    enum fmt_nvdb_type type;
     double voxel_size;     /* world units */
     double translation[3]; /* world position of the centre of voxel (0, 0, 0) */
     bool has_color;
@@ -51,13 +48,12 @@ struct fmt_nvdb_info {
 bool fmt_nvdb_recognise(const char first[8]);
 bool fmt_vdb_recognise(const char first[8]);
 
-/* Version of the trailer, and the NanoVDB version (major, minor, patch) of a grid type. */
+/* Version of the trailer. */
 enum {
     FMT_NVDB_TRAILER_VERSION = 2,
     FMT_NVDB_TRAILER_VERSION_IDS = 3,     /* of grids with ids */
     FMT_NVDB_TRAILER_VERSION_CHANNELS = 4 /* of grids with further channels */
 };
-void fmt_nvdb_version(enum fmt_nvdb_type type, uint32_t version[3]);
 
 /* ---- writing ---- */
 struct fmt_nvdb_writer;
@@ -118,7 +114,6 @@ struct fmt_nvdb_range {
 };
 struct fmt_nvdb_layout {
     struct fmt_nvdb_range section[FMT_NVDB_SECTION_COUNT];
-    uint64_t root_tiles; /* offset in the file */
     uint64_t record_count, file_bytes;
 };
 

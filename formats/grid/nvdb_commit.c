@@ -209,7 +209,7 @@ static void fill_head(const struct fmt_nvdb_writer *writer, const struct fmt_nvd
     uint64_t child = layout->section[NVDB_UPPERS].offset - NVDB_ROOT_OFFSET;
     for (uint32_t i = 0; i < writer->counts.uppers; i++) {
         struct nvdb_root_tile tile = {.key = writer->keys[i], .child = (int64_t)child};
-        memcpy(head + layout->root_tiles + i * (uint64_t)sizeof(tile), &tile, sizeof(tile));
+        memcpy(head + NVDB_ROOT_TILES_OFFSET + i * (uint64_t)sizeof(tile), &tile, sizeof(tile));
         child += sizeof(struct nvdb_upper);
     }
     uint32_t checksum[2] = {fmt_nvdb_head_crc(head, layout), UINT32_MAX};

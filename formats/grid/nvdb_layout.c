@@ -62,25 +62,15 @@ const struct nvdb_level fmt_nvdb_lower = {
     .child_bytes = sizeof(struct nvdb_leaf),
 };
 
-void fmt_nvdb_version(enum fmt_nvdb_type type, uint32_t version[3])
-{
-    uint32_t packed = nvdb_version(type);
-    version[0] = packed >> 21;
-    version[1] = packed >> 10 & 2047;
-    version[2] = packed & 1023;
-}
-
 void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct fmt_nvdb_layout *layout)
 {
     uint64_t blinds = 0, offset = 0;
     for (int i = NVDB_NORMALS; i < NVDB_SECTION_COUNT; i++)
         blinds += nvdb_has(counts->flags, i);
-    layout->root_tiles =
-        NVDB_ROOT_OFFSET +
-        (counts->type == FMT_NVDB_ONINDEX ? NVDB_ROOT_BYTES_ONINDEX : NVDB_ROOT_BYTES_MASK);
     layout->record_count = 1 + counts->voxels + counts->seconds;
     const uint64_t size[NVDB_SECTION_COUNT] = {
-        [NVDB_HEAD] = layout->root_tiles + counts->uppers * (uint64_t)sizeof(struct nvdb_root_tile),
+        [NVDB_HEAD] =
+            NVDB_ROOT_TILES_OFFSET + counts->uppers * (uint64_t)sizeof(struct nvdb_root_tile),
         [NVDB_UPPERS] = counts->uppers * (uint64_t)sizeof(struct nvdb_upper),
         [NVDB_LOWERS] = counts->lowers * (uint64_t)sizeof(struct nvdb_lower),
         [NVDB_LEAVES] = counts->leaves * (uint64_t)sizeof(struct nvdb_leaf),
@@ -227,7 +217,7 @@ static void nvdb_fill_grid_data(const struct fmt_nvdb_info *info, const struct n
                                 struct nvdb_grid_data *grid)
 {
     grid->magic = NVDB_MAGIC;
-    grid->version = nvdb_version(counts->type);
+    grid->version = NVDB_GRID_VERSION;
     grid->flags = NVDB_HAS_BBOX | NVDB_BREADTH_FIRST;
     grid->grid_count = 1;
     grid->grid_bytes = layout->file_bytes - FMT_NVDB_GRID_OFFSET;
@@ -242,13 +232,11 @@ static void nvdb_fill_grid_data(const struct fmt_nvdb_info *info, const struct n
             fma(root->bbox_max[axis] + 1.0, info->voxel_size, info->translation[axis]);
         grid->voxel_size[axis] = info->voxel_size;
     }
-    bool indexed = counts->type == FMT_NVDB_ONINDEX;
-    grid->grid_class = indexed ? NVDB_CLASS_INDEX : NVDB_CLASS_TOPOLOGY;
-    grid->grid_type = counts->type;
+    grid->grid_class = NVDB_CLASS_TOPOLOGY;
+    grid->grid_type = NVDB_TYPE_MASK;
     grid->blind_offset = (int64_t)(layout->section[NVDB_BLIND].offset - FMT_NVDB_GRID_OFFSET);
     grid->blind_count = (uint32_t)(layout->section[NVDB_BLIND].size / sizeof(struct nvdb_blind));
     grid->value_count = 1 + counts->voxels;
-    grid->data2 = indexed ? NVDB_MAGIC_GRID : 0;
 }
 
 static void fill_tree(const struct nvdb_counts *counts, const struct fmt_nvdb_layout *layout,
@@ -287,7 +275,7 @@ void fmt_nvdb_fill_fixed(const struct fmt_nvdb_info *info, const struct nvdb_cou
     nvdb_fill_grid_data(info, counts, layout, &fixed.root, &fixed.grid);
     fill_tree(counts, layout, &fixed.tree);
     fmt_nvdb_fill_file_head(&fixed);
-    memset(head, 0, layout->root_tiles);
+    memset(head, 0, NVDB_ROOT_TILES_OFFSET);
     memcpy(head, &fixed, sizeof fixed);
 }
 

@@ -1,9 +1,8 @@
 /* nvdb_layout_internal.h - the bytes of a grid file, and the offsets of its sections.
  *
- * The structures are those of NanoVDB 32.4.2 for a Mask grid. A grid of type OnIndex (NanoVDB 32.6)
- * differs only in the header and in the size of RootData. A few counts determine the offset of each
- * section (fmt_nvdb_layout_compute). So the writer can write from front to back, and the reader
- * compares all offsets in a file with computed ones. The byte tables are in FORMATS.md. */
+ * The structures are those of NanoVDB 32.4.2 for a Mask grid. A few counts determine the offset of
+ * each section (fmt_nvdb_layout_compute). So the writer can write from front to back, and the
+ * reader compares all offsets in a file with computed ones. The byte tables are in FORMATS.md. */
 #ifndef FMT_GRID_NVDB_LAYOUT_INTERNAL_H
 #define FMT_GRID_NVDB_LAYOUT_INTERNAL_H
 
@@ -24,14 +23,13 @@ extern "C" {
 #define NVDB_MAGIC_GRID       UINT64_C(0x314244566f6e614e) /* "NanoVDB1" */
 #define NVDB_MAGIC_FILE       UINT64_C(0x324244566f6e614e) /* "NanoVDB2" */
 #define NVDB_VERSION(a, b, c) ((uint32_t)(a) << 21 | (uint32_t)(b) << 10 | (uint32_t)(c))
-#define NVDB_VERSION_MASK     NVDB_VERSION(32, 4, 2)
-#define NVDB_VERSION_ONINDEX  NVDB_VERSION(32, 6, 0)
+#define NVDB_GRID_VERSION     NVDB_VERSION(32, 4, 2)
 #define NVDB_GRID_NAME        "surface"
 
 enum {
     NVDB_NAME_BYTES = 32, /* padded, so that GridData is at FMT_NVDB_GRID_OFFSET */
+    NVDB_TYPE_MASK = 8,   /* GridType */
     NVDB_CLASS_TOPOLOGY = 6,
-    NVDB_CLASS_INDEX = 8,
     NVDB_HAS_BBOX = 1 << 1, /* grid flags */
     NVDB_BREADTH_FIRST = 1 << 5,
     NVDB_NODE_HAS_BBOX = 2, /* node flags */
@@ -90,12 +88,12 @@ struct nvdb_tree_data {
     uint64_t voxel_count;
 };
 
-/* The part of RootData that both types share; values (all zero) and padding follow. */
+/* RootData without its values (all zero) and padding, which follow. */
 struct nvdb_root {
     int32_t bbox_min[3], bbox_max[3];
     uint32_t root_tile_count;
 };
-enum { NVDB_ROOT_BYTES_MASK = 64, NVDB_ROOT_BYTES_ONINDEX = 96 };
+enum { NVDB_ROOT_BYTES = 64 };
 
 /* The beginning of every file. The rest of RootData follows, and the tiles. */
 struct nvdb_fixed {
@@ -108,7 +106,7 @@ struct nvdb_fixed {
 };
 enum {
     NVDB_ROOT_OFFSET = offsetof(struct nvdb_fixed, root),
-    NVDB_ROOT_TILES_OFFSET_MAX = NVDB_ROOT_OFFSET + NVDB_ROOT_BYTES_ONINDEX
+    NVDB_ROOT_TILES_OFFSET = NVDB_ROOT_OFFSET + NVDB_ROOT_BYTES
 };
 
 struct nvdb_root_tile {
@@ -220,7 +218,6 @@ static_assert(sizeof(struct nvdb_trailer) == 192, "bisque trailer");
 
 /* The counts that determine a layout. */
 struct nvdb_counts {
-    enum fmt_nvdb_type type;
     uint32_t flags; /* of the trailer: which sections the grid has */
     uint32_t uppers, lowers, leaves;
     uint64_t voxels, seconds, name_bytes;
@@ -310,11 +307,6 @@ static inline const int64_t *nvdb_table(const struct nvdb_level *level,
 /* Computes the offsets of all sections. Nothing overflows if voxels <= 512 * leaves, seconds <=
  * voxels, name_bytes is below 2^61 and channel_words at most FMT_CHANNEL_VALUES_MAX. */
 void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct fmt_nvdb_layout *layout);
-
-static inline uint32_t nvdb_version(enum fmt_nvdb_type type)
-{
-    return type == FMT_NVDB_ONINDEX ? NVDB_VERSION_ONINDEX : NVDB_VERSION_MASK;
-}
 
 /* Returns the key of the root tile that contains a voxel. */
 static inline uint64_t nvdb_root_key(const int32_t ijk[3])

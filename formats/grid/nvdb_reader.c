@@ -32,7 +32,7 @@ static int fail_version(const struct head *h)
     uint32_t v = h->fixed.header.version;
     return bsq_fail(h->ctx, BSQ_EDATA,
                     "%s: NanoVDB file of version %" PRIu32 ".%" PRIu32 ".%" PRIu32
-                    ": Bisque reads 32.4.2 (mask) and 32.6.0 (onindex)",
+                    ": Bisque reads 32.4.2; make the grid with bisque-voxelize",
                     h->path, v >> 21, v >> 10 & 2047, v & 1023);
 }
 
@@ -92,25 +92,22 @@ static int check_file_header(struct head *h)
         (h->fixed.header.magic != NVDB_MAGIC && h->fixed.header.magic != NVDB_MAGIC_GRID &&
          h->fixed.header.magic != NVDB_MAGIC_FILE))
         return bsq_fail(h->ctx, BSQ_EDATA, "%s: not a NanoVDB file", h->path);
-    if (h->size < NVDB_ROOT_OFFSET + NVDB_ROOT_BYTES_MASK)
+    if (h->size < NVDB_ROOT_TILES_OFFSET)
         return bsq_fail(h->ctx, BSQ_EDATA, "%s: truncated: %" PRIu64 " bytes are too few", h->path,
                         h->size);
     if (h->fixed.header.magic == NVDB_MAGIC_GRID)
         return bsq_fail(h->ctx, BSQ_EDATA, "%s: a NanoVDB grid without file header", h->path);
-    if (h->fixed.header.magic == NVDB_MAGIC_FILE || h->fixed.header.version >> 21 != 32)
+    if (h->fixed.header.magic == NVDB_MAGIC_FILE || h->fixed.header.version != NVDB_GRID_VERSION)
         return fail_version(h);
     if (h->fixed.header.grid_count != 1)
         return bsq_fail(h->ctx, BSQ_EDATA, "%s: %u grids: a Bisque surface grid stands alone",
                         h->path, h->fixed.header.grid_count);
-    uint32_t type = h->fixed.meta.grid_type;
-    if (type != FMT_NVDB_MASK && type != FMT_NVDB_ONINDEX)
+    if (h->fixed.meta.grid_type != NVDB_TYPE_MASK)
         return fail_foreign(h);
     if (h->fixed.header.codec != 0)
         return fail_compressed(h);
     if (h->fixed.meta.name_bytes != NVDB_NAME_BYTES)
         return fail_foreign(h);
-    if (h->fixed.header.version != nvdb_version((enum fmt_nvdb_type)type))
-        return fail_version(h);
     return 0;
 }
 
@@ -183,7 +180,6 @@ static int read_counts(struct head *h)
     const struct nvdb_tree_data *tree = &h->fixed.tree;
     struct nvdb_counts *counts = &h->counts;
     *counts = (struct nvdb_counts){
-        .type = (enum fmt_nvdb_type)h->fixed.grid.grid_type,
         .flags = h->trailer.flags,
         .leaves = tree->node_count[0],
         .lowers = tree->node_count[1],
@@ -238,8 +234,8 @@ static int check_fixed(const struct head *h)
     } ranges[] = {{FMT_NVDB_GRID_OFFSET, "file header"},
                   {offsetof(struct nvdb_fixed, tree), "GridData"},
                   {NVDB_ROOT_OFFSET, "TreeData"},
-                  {h->layout.root_tiles, "RootData"}};
-    uint8_t expected[NVDB_ROOT_TILES_OFFSET_MAX];
+                  {NVDB_ROOT_TILES_OFFSET, "RootData"}};
+    uint8_t expected[NVDB_ROOT_TILES_OFFSET];
     const struct nvdb_map *map = &h->fixed.grid.map;
     struct fmt_nvdb_info info = {.voxel_size = map->matrix[0]};
     memcpy(info.translation, map->translation, sizeof(info.translation));
@@ -284,7 +280,6 @@ static void fill_grid(const struct head *h, struct fmt_nvdb_grid *grid)
     const struct nvdb_counts *counts = &h->counts;
     grid->layout = h->layout;
     grid->flags = counts->flags;
-    grid->info.type = counts->type;
     grid->info.has_color = nvdb_has(counts->flags, NVDB_COLORS);
     grid->info.voxel_size = fixed->grid.map.matrix[0];
     grid->info.source_triangles = trailer->source_triangles;
@@ -295,7 +290,7 @@ static void fill_grid(const struct head *h, struct fmt_nvdb_grid *grid)
     memcpy(grid->index_max, fixed->root.bbox_max, sizeof(grid->index_max));
     grid->grid = h->file + FMT_NVDB_GRID_OFFSET;
     grid->root = h->file + NVDB_ROOT_OFFSET;
-    grid->root_tiles = h->file + h->layout.root_tiles;
+    grid->root_tiles = h->file + NVDB_ROOT_TILES_OFFSET;
     grid->uppers = nvdb_section_of(h, NVDB_UPPERS);
     grid->lowers = nvdb_section_of(h, NVDB_LOWERS);
     grid->leaves = nvdb_section_of(h, NVDB_LEAVES);

@@ -96,8 +96,6 @@ static int begin_channels(struct fmt_nvdb_writer *writer)
 /* Refuses what fmt_nvdb_check_header() would refuse later. */
 static int check_info(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb_info *info)
 {
-    if (info->type != FMT_NVDB_MASK && info->type != FMT_NVDB_ONINDEX)
-        return bsq_fail(ctx, BSQ_EBUG, "%s: grid type %d cannot be written", path, info->type);
     if (!(info->voxel_size > 0.0) || !isfinite(info->voxel_size) ||
         !isfinite(1.0 / info->voxel_size))
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: voxel size %g is not a positive number", path,
@@ -119,7 +117,6 @@ int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb
     BSQ_TRY(BSQ_CALLOC(ctx, "grid writer", 1, &writer));
     writer->ctx = ctx;
     writer->info = *info;
-    writer->counts.type = info->type;
     writer->counts.flags = nvdb_flags(info->has_color, info->ids, info->channels != NULL);
     fmt_nvdb_bbox_clear(writer->bbox_min, writer->bbox_max);
     BSQ_TRY(bsq_text_copy(ctx, path, &writer->path));

@@ -1,5 +1,4 @@
-/* bk_grid.h - finds voxels in a NanoVDB Mask (32.4.2) or OnIndex grid (32.6), used in place as
- * 64-bit words.
+/* bk_grid.h - finds voxels in a NanoVDB Mask grid (32.4.2), used in place as 64-bit words.
  *
  * Node arrays and channels may be separate buffers, so a child's byte offset is converted to its
  * index in the array. A cache keeps the nodes of the last lookup, as NanoVDB's ReadAccessor does:

@@ -330,7 +330,6 @@ static int create_grid(struct vox_run *run)
 {
     const struct vox_transform *transform = &run->transform;
     struct fmt_nvdb_info info = {
-        .type = run->options->grid_type == VOX_GRID_ONINDEX ? FMT_NVDB_ONINDEX : FMT_NVDB_MASK,
         .voxel_size = transform->h,
         .has_color = fmt_tris_has_color(run->header),
         .ids = run->options->ids ? run->header->ids : FMT_IDS_NONE,

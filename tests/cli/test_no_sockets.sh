@@ -49,7 +49,6 @@ printf 'newmtl glaze\nmap_Kd ramp.ppm\n' >scan.mtl
 "$TESTS/generate-scan" vase-low -o low.obj
 
 offline bisque-voxelize scan.obj -o scan.nvdb --resolution 32 --vdb scan.vdb
-offline bisque-voxelize scan.obj -o scan.nvdb --resolution 32 --grid-type onindex
 offline bisque-voxelize scan.tris -o scan.nvdb --resolution 32 --json
 offline bisque-voxelize --parse-only scan.obj
 offline bisque-voxelize --verify scan.tris scan.nvdb

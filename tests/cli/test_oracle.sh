@@ -19,7 +19,7 @@ printf 'newmtl glaze\nKd .2 .4 .6\nmap_Kd dot.ppm\n' >vase.mtl
 printf 'P3 1 1 255 9 9 9\n' >dot.ppm
 { printf 'mtllib vase.mtl\nusemtl glaze\n'; cat vase.obj; } >full.obj
 ok run bisque-voxelize full.obj -o full.nvdb --resolution 30
-ok run bisque-voxelize full.tris -o on.nvdb --grid-type onindex --resolution 20
+ok run bisque-voxelize full.tris -o other.nvdb --resolution 20
 printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 0 .02\nv 1 0 .02\nv 1 1 .02\nf 3 2 1\nf 4 5 6\n' >sheet.obj
 ok run bisque-voxelize sheet.obj -o sheet.nvdb --resolution 16
 

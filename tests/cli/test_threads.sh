@@ -16,8 +16,7 @@ ok run bisque-bake plain.nvdb low.obj -o texture.png --maps normal --size 128 --
 for threads in 1 8; do
     mkdir $threads
     ok run bisque-voxelize vase.obj --texture texture.png -o $threads/vase.nvdb --resolution 200 --threads $threads
-    ok run bisque-voxelize $threads/vase.tris -o $threads/smooth.nvdb --resolution 140 --grid-type onindex \
-        --threads $threads
+    ok run bisque-voxelize $threads/vase.tris -o $threads/smooth.nvdb --resolution 140 --threads $threads
     for scan in vase.nvdb vase.tris; do
         to=$threads/${scan#*.}
         ok run bisque-bake $threads/$scan low.obj -o "${to}_<MAP>.exr" --maps normal,color,mask --size 100x75 \

@@ -35,8 +35,6 @@ $vox box.obj -o a.nvdb --tris a.tris --no-tris
 refused 64 "$p --tris and --no-tris exclude each other"
 $vox box.obj -o a.nvdb --parse-only
 refused 64 "$p --parse-only writes nothing: leave out --output"
-$vox box.obj -o a.nvdb --grid-type index
-refused 64 "$p --grid-type: \"index\" is not mask or onindex"
 $vox box.obj -o a.nvdb --progress often
 refused 64 "$p --progress: \"often\" is not auto, bar, none, json, openjd, percent or alf"
 for n in 0 -1 12.5 1073741825 18446744073709551617 ''; do
@@ -157,12 +155,6 @@ ok $vox box.obj -o eight.nvdb --resolution 24 --threads 8
 same one.nvdb eight.nvdb
 same one.tris eight.tris
 rm one.* eight.*
-
-ok $vox box.obj -o on.nvdb --resolution 24 --grid-type onindex --no-tris
-[ "$(wc -c <on.nvdb)" -eq "$(wc -c <box.nvdb)" ] && ! cmp -s on.nvdb box.nvdb
-check "an OnIndex grid differs in its header" $?
-files box.nvdb box.obj box.tris on.nvdb
-rm on.nvdb
 
 if command -v nanovdb_validate >/dev/null; then
     run_validate=$(nanovdb_validate box.nvdb 2>&1)

@@ -93,7 +93,7 @@ check "a failure is told to Open Job Description" $?
 run bisque-voxelize scan.obj -o moved.nvdb --no-tris --resolution 64 --scale 2 --up y --translate 1,2,3
 code 0
 openjd run "$farm/asset.openjd.yaml" --step Voxelize -p Scan=scan.obj -p Low=low.obj -p OutputDir=moved -p Resolution=64 \
-    -p Scale=2 -p Up=y -p Translate=1,2,3 -p VoxelizeOptions='--grid-type mask' -p BinDir="$BIN"
+    -p Scale=2 -p Up=y -p Translate=1,2,3 -p VoxelizeOptions='--channels none' -p BinDir="$BIN"
 same moved.nvdb moved/scan.nvdb
 
 # ---- a comparison with maps of before ----

@@ -79,7 +79,6 @@ static void make_scene(int number, struct scene *scene)
     }
     scene->count = kept;
     scene_sort(scene);
-    scene->info.type = number % 2 ? FMT_NVDB_ONINDEX : FMT_NVDB_MASK;
     scene->info.has_color = number != 1;
     scene->info.channels = number == 2 ? "metallic,coat" : number == 1 ? "roughness" : NULL;
 }
@@ -223,7 +222,7 @@ static void move_grid(struct grid_template *t, uint32_t axis, uint32_t uppers)
     struct nvdb_upper *upper = nodes(t, NVDB_UPPERS);
     struct nvdb_lower *lower = nodes(t, NVDB_LOWERS);
     struct nvdb_leaf *leaf = nodes(t, NVDB_LEAVES);
-    struct nvdb_root_tile *tile = (void *)(t->bytes + t->layout.root_tiles);
+    struct nvdb_root_tile *tile = (void *)(t->bytes + NVDB_ROOT_TILES_OFFSET);
     struct nvdb_root *root = &head(t)->root;
     touch_bounds(t);
     fmt_nvdb_bbox_clear(root->bbox_min, root->bbox_max);
@@ -374,8 +373,7 @@ static void remake_head(const struct grid_template *t)
     const struct nvdb_tree_data *tree = &head(t)->tree;
     const struct nvdb_root root = head(t)->root;
     struct fmt_nvdb_info info = {.voxel_size = head(t)->grid.map.matrix[0]};
-    struct nvdb_counts counts = {.type = (enum fmt_nvdb_type)head(t)->grid.grid_type,
-                                 .uppers = tree->node_count[2],
+    struct nvdb_counts counts = {.uppers = tree->node_count[2],
                                  .lowers = tree->node_count[1],
                                  .leaves = tree->node_count[0],
                                  .voxels = tree->voxel_count};

@@ -71,7 +71,7 @@ def _add_voxels(total, grid):
 
 def _nvdb_checksum(grid):
     total = xxhash.xxh3_64()
-    _add(total, "II4dQ6d", grid.type, grid.has_color, grid.voxel_size, *grid.translation,
+    _add(total, "I4dQ6d", grid.has_color, grid.voxel_size, *grid.translation,
          grid.triangle_count, *grid.scan_bounds)
     _add(total, "6i5Q", *grid.low, *grid.high, grid.upper_count, grid.lower_count, grid.leaf_count,
          grid.voxel_count, grid.record_count)

@@ -6,10 +6,8 @@ from types import SimpleNamespace
 import numpy
 
 import read_nvdb
-from read_nvdb import GRID, ROOT, TREE, VARIANTS
+from read_nvdb import CLASS, GRID, ROOT, ROOT_BYTES, TREE, TYPE, VERSION
 from refusal import checksum
-
-MASK, ONINDEX = VARIANTS
 
 
 def _planes(random, count, marks):
@@ -71,7 +69,7 @@ def make(random):
         channels=str(channels), words=words, values=values,
         has_ids=bool(random.integers(0, 2)), id=ids,
         names=names if random.integers(0, 2) else struct.pack("<II", 3, 0),
-        version=random.choice([MASK, ONINDEX]), positions=positions, has_second=marks,
+        version=VERSION, positions=positions, has_second=marks,
         has_color=bool(random.integers(0, 2)), normal=normal, plane=plane, color=color,
         voxel_size=float(random.choice([1, 0.1, 3e-39, 1e39, 7e-308, 5e307])),
         translation=[float(t) for t in random.choice([0, -0.5, 1e6 / 3, 1e-320, -1e300], 3)],
@@ -158,16 +156,15 @@ def _encode_grid_data(grid, layout, low, high, size):
     data += b"surface".ljust(256, b"\0")
     data += _f32(_diagonal(h) + _diagonal(inverse) + list(t) + [1])
     data += struct.pack("<9d9d3dd6d3d", *_diagonal(h), *_diagonal(inverse), *t, 1, *world, h, h, h)
-    return data + struct.pack("<IIqIIQQ", layout.kind, layout.type,
+    return data + struct.pack("<IIqIIQQ", CLASS, TYPE,
                               layout.sections["blind"][0] - GRID,
-                              len(read_nvdb.channels_of(layout)), 0, 1 + layout.voxel_count,
-                              layout.data2)
+                              len(read_nvdb.channels_of(layout)), 0, 1 + layout.voxel_count, 0)
 
 
 def _encode_file_header(grid, layout, body, size):
     data = struct.pack("<QIHHQQQQII", read_nvdb.MAGIC, grid.version, 1, 0, size - GRID,
                        size - GRID, read_nvdb.name_key(b"surface"), layout.voxel_count,
-                       layout.type, layout.kind)
+                       TYPE, CLASS)
     data += body[560:608] + body[ROOT - GRID:ROOT - GRID + 24] + body[608:632]
     data += struct.pack("<I4I3IHHI", 32, layout.leaf_count, layout.lower_count,
                         layout.upper_count, 1, 0, 0, 0, 0, 0, grid.version)
@@ -181,7 +178,7 @@ def _encode_tree(layout):
 
 
 def _encode_root(layout, origins, low, high):
-    data = struct.pack("<6iI", *low, *high, layout.upper_count).ljust(layout.root_bytes, b"\0")
+    data = struct.pack("<6iI", *low, *high, layout.upper_count).ljust(ROOT_BYTES, b"\0")
     for i, key in enumerate(_keys(origins)):
         offset = layout.sections["upper"][0] + read_nvdb.UPPER_BYTES * i - ROOT
         data += struct.pack("<Qq16x", int(key), offset)
@@ -215,8 +212,6 @@ def _channels_head(grid):
 
 def _layout(grid, uppers, lowers, leaves):
     layout = read_nvdb.Grid()
-    layout.variant, layout.type, layout.kind, layout.root_bytes, layout.data2 = \
-        VARIANTS[grid.version]
     layout.has_color, layout.has_ids = grid.has_color, grid.has_ids
     layout.name_bytes = len(grid.names) if grid.has_ids else 0
     layout.words = grid.words

@@ -120,7 +120,7 @@ def _offsets(plane):
 def _measure_nvdb(grid):
     one = slice(1, 1 + grid.voxel_count)
     plane = grid.channels["plane"][one]
-    for name, value in (("type", grid.type), ("color", int(grid.has_color)),
+    for name, value in (("color", int(grid.has_color)),
                         ("leaves", grid.leaf_count), ("lowers", grid.lower_count),
                         ("uppers", grid.upper_count), ("voxels", grid.voxel_count),
                         ("second_records", grid.second_count),

@@ -117,7 +117,7 @@ def _pick_nvdb_field(random, data, layout):
     blind = layout.sections["blind"][0]
     pick = [lambda: _fields(NVDB_FILE_HEADER, 0), lambda: _fields(NVDB_GRID_DATA, GRID),
             lambda: _fields(NVDB_TREE, TREE),
-            lambda: _fields("I" * (layout.root_bytes // 4) + "QQQQ" * layout.upper_count, ROOT),
+            lambda: _fields("I" * (read_nvdb.ROOT_BYTES // 4) + "QQQQ" * layout.upper_count, ROOT),
             lambda: _fields("QQIIII 256s", blind + BLIND_BYTES * int(random.integers(0, 4))),
             lambda: _node_fields(random, layout), lambda: _node_fields(random, layout),
             lambda: _used_offset_field(random, data, layout),

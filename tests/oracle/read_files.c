@@ -172,7 +172,6 @@ static int add_name(void *arg, const char *name)
 
 static void add_grid(struct reading *r, const struct fmt_nvdb_grid *g)
 {
-    add_u32(r, (uint32_t)g->info.type);
     add_u32(r, g->info.has_color);
     add(r, &g->info.voxel_size, sizeof g->info.voxel_size);
     add(r, g->info.translation, sizeof g->info.translation);

@@ -14,10 +14,9 @@ import numpy
 
 from refusal import array, checksum, fields, has_minus_32768, is_finite, is_zero, need
 
-VARIANTS = {  # by version: name, GridType, GridClass, bytes of RootData, data2
-    32 << 21 | 4 << 10 | 2: ("mask", 8, 6, 64, 0),
-    32 << 21 | 6 << 10 | 0: ("onindex", 20, 8, 96, int.from_bytes(b"NanoVDB1", "little"))}
-GRID, TREE, ROOT = 224, 896, 960
+VERSION = 32 << 21 | 4 << 10 | 2
+TYPE, CLASS = 8, 6
+GRID, TREE, ROOT, ROOT_BYTES = 224, 896, 960, 64
 UPPER_BYTES, LOWER_BYTES, LEAF_BYTES, TILE_BYTES, BLIND_BYTES = 270400, 33856, 96, 32, 288
 TRAILER_BYTES = 192
 MAGIC = int.from_bytes(b"NanoVDB0", "little")
@@ -65,7 +64,7 @@ def lay_out(grid):
     """Computes offset and size of each section, and the size of the file."""
     at = 0
     grid.sections = {}
-    for name, size in (("head", ROOT + grid.root_bytes + TILE_BYTES * grid.upper_count),
+    for name, size in (("head", ROOT + ROOT_BYTES + TILE_BYTES * grid.upper_count),
                        ("upper", UPPER_BYTES * grid.upper_count),
                        ("lower", LOWER_BYTES * grid.lower_count),
                        ("leaf", LEAF_BYTES * grid.leaf_count),
@@ -85,10 +84,8 @@ def _read_counts(data, grid):
     need(len(data) >= ROOT + 64 + TRAILER_BYTES, "too short for a grid")
     magic, version = fields(data, 0, "QI")
     need(magic == MAGIC, "magic of the file header")
-    need(version in VARIANTS, f"version {version >> 21}.{version >> 10 & 2047}.{version & 1023}")
-    grid.version = version
-    grid.variant, grid.type, grid.kind, grid.root_bytes, grid.data2 = VARIANTS[version]
-    need(fields(data, 48, "II") == (grid.type, grid.kind), "type of the file header")
+    need(version == VERSION, f"version {version >> 21}.{version >> 10 & 2047}.{version & 1023}")
+    need(fields(data, 48, "II") == (TYPE, CLASS), "type of the file header")
     grid.leaf_count, grid.lower_count, grid.upper_count, _ = fields(data, 156, "4I")
     grid.voxel_count, = fields(data, 40, "Q")
 
@@ -164,7 +161,7 @@ def _check_file_header(data, grid):
     need(fields(data, 32, "Q")[0] == name_key(NAME), "key of the name")
     need(fields(data, 152, "I")[0] == 32, "bytes of the name")
     need(fields(data, 168, "4I") == (1, 0, 0, 0), "root count or active tiles of the file header")
-    need(fields(data, 184, "HHI") == (0, 0, grid.version), "end of the file header")
+    need(fields(data, 184, "HHI") == (0, 0, VERSION), "end of the file header")
     need(data[56:104] == data[GRID + 560:GRID + 608], "world bounds of the file header")
     need(data[104:128] == data[ROOT:ROOT + 24], "index bounds of the file header")
     need(data[128:152] == data[GRID + 608:GRID + 632], "voxel size of the file header")
@@ -173,14 +170,14 @@ def _check_file_header(data, grid):
 def _check_grid_data(data, grid):
     blind_offset, _ = grid.sections["blind"]
     need(fields(data, GRID, "Q")[0] == MAGIC, "magic of GridData")
-    need(fields(data, GRID + 16, "I")[0] == grid.version, "version of GridData")
-    need(fields(data, GRID + 632, "II") == (grid.kind, grid.type), "type of GridData")
+    need(fields(data, GRID + 16, "I")[0] == VERSION, "version of GridData")
+    need(fields(data, GRID + 632, "II") == (CLASS, TYPE), "type of GridData")
     need(data[GRID + 40:GRID + 296] == NAME.ljust(256, b"\0"), "name of GridData")
     need(fields(data, GRID + 24, "II") == (0, 1), "index or number of grids")
     need(fields(data, GRID + 32, "Q")[0] == len(data) - GRID, "bytes of GridData")
     need(fields(data, GRID + 640, "qII") == (blind_offset - GRID, len(channels_of(grid)), 0),
          "place or number of blind metadata")
-    need(fields(data, GRID + 656, "QQ") == (1 + grid.voxel_count, grid.data2), "values or data2")
+    need(fields(data, GRID + 656, "QQ") == (1 + grid.voxel_count, 0), "values or data2")
     end = sum(grid.sections["head"])
     stored, full = fields(data, GRID + 8, "II")
     need(stored == zlib.crc32(data[GRID + 16:end]), "CRC-32")
@@ -194,7 +191,7 @@ def _check_tree(data, grid):
     counts = (grid.leaf_count, grid.lower_count, grid.upper_count, 0, 0, 0, grid.voxel_count)
     need(fields(data, TREE + 32, "6IQ") == counts, "counts of TreeData")
     need(fields(data, ROOT + 24, "I")[0] == grid.upper_count, "upper nodes of RootData")
-    need(is_zero(data[ROOT + 28:ROOT + grid.root_bytes]), "zeros of RootData")
+    need(is_zero(data[ROOT + 28:ROOT + ROOT_BYTES]), "zeros of RootData")
 
 
 def _read_transform(data, grid):
@@ -289,7 +286,7 @@ def _check_bounds(level, parent, low, high, what):
 
 
 def _read_tiles(data, grid):
-    tiles = array(data, ROOT + grid.root_bytes, "u8", grid.upper_count, 4)
+    tiles = array(data, ROOT + ROOT_BYTES, "u8", grid.upper_count, 4)
     keys = [int(key) for key in tiles[:, 0]]
     need(all(a < b for a, b in zip(keys, keys[1:])), "tile keys do not ascend")
     grid.origins = []

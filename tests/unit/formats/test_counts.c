@@ -102,7 +102,7 @@ static int append_leaf(struct fmt_nvdb_writer *writer, int32_t x)
 
 static struct fmt_nvdb_writer *new_grid(void)
 {
-    struct fmt_nvdb_info info = {.type = FMT_NVDB_MASK, .voxel_size = 1};
+    struct fmt_nvdb_info info = {.voxel_size = 1};
     struct fmt_nvdb_writer *writer;
     assert_int_equal(fmt_nvdb_create(ctx, "a.nvdb", &info, &writer), 0);
     return writer;
@@ -161,8 +161,7 @@ TEST(sections_of_the_largest_grid_do_not_wrap)
 {
     uint64_t u = UINT32_MAX, l = UINT32_MAX, f = UINT32_MAX, v = 512 * f, s = UINT32_MAX,
              n = 1 + v + s, names = (UINT64_C(1) << 61) - 1, words = 65535;
-    struct nvdb_counts counts = {.type = FMT_NVDB_ONINDEX,
-                                 .flags = nvdb_flags(true, FMT_IDS_MATERIAL, true),
+    struct nvdb_counts counts = {.flags = nvdb_flags(true, FMT_IDS_MATERIAL, true),
                                  .uppers = UINT32_MAX,
                                  .lowers = UINT32_MAX,
                                  .leaves = UINT32_MAX,
@@ -173,7 +172,7 @@ TEST(sections_of_the_largest_grid_do_not_wrap)
                                  .channel_list_bytes = UINT32_MAX};
     struct fmt_nvdb_layout layout;
     fmt_nvdb_layout_compute(&counts, &layout);
-    const uint64_t sizes[NVDB_SECTION_COUNT] = {960 + 96 + 32 * u,
+    const uint64_t sizes[NVDB_SECTION_COUNT] = {960 + 64 + 32 * u,
                                                 270400 * u,
                                                 33856 * l,
                                                 96 * f,

@@ -134,7 +134,7 @@ static struct fmt_nvdb_record record_of(const struct sheet *sheet, bool has_seco
 
 void analytic_grid_write(const struct analytic_grid *grid, bool has_color, const char *path)
 {
-    struct scene scene = {.info = {.type = FMT_NVDB_MASK, .voxel_size = 1, .has_color = has_color},
+    struct scene scene = {.info = {.voxel_size = 1, .has_color = has_color},
                           .voxels = must(calloc(grid->count, sizeof *scene.voxels))};
     struct fmt_nvdb_totals totals;
     for (uint64_t i = 0; i < grid->capacity; i++) {

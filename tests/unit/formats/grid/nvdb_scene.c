@@ -104,7 +104,6 @@ void scene_random(struct scene *scene, uint64_t seed, unsigned per_cluster)
     scene_sort(scene);
     fill_records(scene, &state);
     scene->info = (struct fmt_nvdb_info){
-        .type = FMT_NVDB_MASK,
         .voxel_size = 0.037,
         .translation = {500000.123, -2.5, 1e-3},
         .has_color = true,

@@ -58,7 +58,6 @@ static void small_file_open(struct small_file *file)
             file->scene.voxels[kept++] = *v;
     }
     file->scene.count = kept;
-    file->scene.info.type = FMT_NVDB_MASK;
     struct fmt_nvdb_totals totals;
     assert_ok(file->ctx, scene_write(file->ctx, nvdb_path, &file->scene, &totals));
     assert_int_equal(totals.uppers, 1);

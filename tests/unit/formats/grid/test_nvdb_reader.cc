@@ -28,18 +28,13 @@ using MaskRoot = nanovdb::NanoRoot<nanovdb::ValueMask>::DataType;
 using MaskUpper = nanovdb::NanoUpper<nanovdb::ValueMask>::DataType;
 using MaskLower = nanovdb::NanoLower<nanovdb::ValueMask>::DataType;
 using MaskLeaf = nanovdb::NanoLeaf<nanovdb::ValueMask>::DataType;
-using IndexRoot = nanovdb::NanoRoot<nanovdb::ValueIndex>::DataType;
 static_assert(sizeof(nvdb_grid_data) == sizeof(nanovdb::GridData), "GridData");
 static_assert(sizeof(nvdb_tree_data) == sizeof(nanovdb::TreeData<3>), "TreeData");
-static_assert(NVDB_ROOT_BYTES_MASK == sizeof(MaskRoot), "RootData");
-static_assert(NVDB_ROOT_BYTES_ONINDEX == sizeof(IndexRoot), "RootData of an index grid");
+static_assert(NVDB_ROOT_BYTES == sizeof(MaskRoot), "RootData");
 static_assert(sizeof(nvdb_root_tile) == sizeof(MaskRoot::Tile), "Tile");
 static_assert(sizeof(nvdb_upper) == sizeof(MaskUpper), "upper node");
 static_assert(sizeof(nvdb_lower) == sizeof(MaskLower), "lower node");
 static_assert(sizeof(nvdb_leaf) == sizeof(MaskLeaf), "leaf");
-static_assert(sizeof(nanovdb::NanoUpper<nanovdb::ValueIndex>) == sizeof(nvdb_upper), "upper node");
-static_assert(sizeof(nanovdb::NanoLower<nanovdb::ValueIndex>) == sizeof(nvdb_lower), "lower node");
-static_assert(sizeof(nanovdb::NanoLeaf<nanovdb::ValueIndex>) == sizeof(nvdb_leaf), "leaf");
 static_assert(sizeof(nvdb_blind) == sizeof(nanovdb::GridBlindMetaData), "GridBlindMetaData");
 static_assert(sizeof(nvdb_file_header) == sizeof(nanovdb::io::Header), "file header");
 static_assert(sizeof(nvdb_file_meta) == sizeof(nanovdb::io::MetaData), "file metadata");
@@ -223,28 +218,6 @@ TEST(test_bounds)
     for (size_t i = 0; i < before.size(); i++)
         if (before[i] != handle.data()[i])
             fail_msg("byte %zu: %u, NanoVDB has %u", i, before[i], handle.data()[i]);
-    scene_free(&scene);
-}
-
-// 32.4.2 does not know OnIndex, but its ValueIndex grids have the same nodes.
-TEST(test_onindex_grid)
-{
-    scene scene;
-    scene_random(&scene, 23, 2000);
-    scene.info.type = FMT_NVDB_ONINDEX;
-    write_scene(scene);
-    std::ifstream file(path, std::ios::binary);
-    std::string bytes((std::istreambuf_iterator<char>(file)), std::istreambuf_iterator<char>());
-    auto *data = static_cast<char *>(std::aligned_alloc(32, (bytes.size() + 31) / 32 * 32));
-    std::memcpy(data, bytes.data() + 224, bytes.size() - 224);
-    const auto &grid = *reinterpret_cast<const nanovdb::NanoGrid<nanovdb::ValueIndex> *>(data);
-    assert_int_equal(uint32_t(grid.gridType()), 20);
-    assert_int_equal(uint32_t(grid.gridClass()), 8);
-    assert_int_equal(grid.valueCount(), 1 + scene.count);
-    assert_int_equal(grid.version().getMinor(), 6);
-    assert_int_equal(count_active(grid), scene.count);
-    compare_voxels(grid, scene);
-    std::free(data);
     scene_free(&scene);
 }
 

@@ -25,7 +25,7 @@ static struct fmt_nvdb_region small_region(int32_t x, int32_t y, int32_t z)
 
 static struct fmt_nvdb_writer *new_writer(struct bsq_ctx *ctx)
 {
-    struct fmt_nvdb_info info = {.type = FMT_NVDB_MASK, .voxel_size = 1};
+    struct fmt_nvdb_info info = {.voxel_size = 1};
     struct fmt_nvdb_writer *writer;
     assert_ok(ctx, fmt_nvdb_create(ctx, nvdb_path, &info, &writer));
     return writer;
@@ -228,7 +228,7 @@ TEST(test_limits)
         bsq_ctx_destroy(ctx);
     }
     struct bsq_ctx *ctx = test_context(1, 0);
-    const struct fmt_nvdb_info no_size = {.type = FMT_NVDB_MASK};
+    const struct fmt_nvdb_info no_size = {.voxel_size = 0};
     struct fmt_nvdb_writer *writer;
     assert_int_equal(fmt_nvdb_create(ctx, nvdb_path, &no_size, &writer), BSQ_EUSAGE);
     test_context_end(ctx);
