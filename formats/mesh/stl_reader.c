@@ -1,8 +1,8 @@
 /* stl_reader.c - reads STL files, binary and text, as an ordered stream of parsed blocks.
  *
- * Understood: several solids in a text, polygons of any size, binary files that begin with "solid",
- * and the colours of two dialects (https://en.wikipedia.org/wiki/STL_(file_format)#Color). Normals
- * of facets are ignored, because they follow from the corners.
+ * Understood: several solids in a text, polygons of any size, binary files that begin with "solid".
+ * Normals of facets are ignored, because they follow from the corners. Colours, for which there are
+ * several dialects (https://en.wikipedia.org/wiki/STL_(file_format)#Color), are a warning.
  *
  * STL files repeat each vertex for each triangle. Vertices of a block that are equal are made one
  * here, which leaves about one vertex for a triangle; the rest is left to later stages, which match
@@ -18,23 +18,15 @@
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_number.h"
 
-enum stl_kind {
-    STL_TEXT,
-    STL_BINARY,        /* colours as in VisCAM and SolidView */
-    STL_BINARY_MAGICS, /* colours as in Materialise Magics */
-    STL_BINARY_MESHLAB /* colours as in MeshLab, which differs from Magics in the highest bit */
-};
-
 /* Bytes of a binary file before its triangles, and of a triangle. */
 #define STL_HEADER_BYTES   ((uint64_t)84)
 #define STL_TRIANGLE_BYTES ((uint64_t)50)
 
 /* What the reader keeps of a file: source->data. */
 struct stl_source {
-    enum stl_kind kind;
-    float object_color[3]; /* of STL_BINARY_MAGICS */
-    uint64_t triangles;    /* of a binary file, by its size or its header */
-    int64_t open_solids;   /* "solid" without "endsolid", of one reading */
+    bool text;
+    uint64_t triangles; /* of a binary file, by its size or its header */
+    int64_t odd;        /* of one reading: "solid" without "endsolid"; of a binary file, colours */
 };
 
 /* ---- opening ---- */
@@ -96,21 +88,6 @@ static bool resembles(const char *head, size_t size)
     return true;
 }
 
-/* Finds "COLOR=" in the header, and the colour of the object after it. Magics writes
- * "COLOR=rgba,MATERIAL=", MeshLab "COLOR=rgb MATERIAL=". */
-static void find_object_color(const char *head, struct stl_source *out)
-{
-    for (size_t i = 0; i + 10 <= 80; i++)
-        if (memcmp(head + i, "COLOR=", 6) == 0) {
-            out->kind = i + 19 <= 80 && memcmp(head + i + 9, " MATERIAL=", 10) == 0
-                            ? STL_BINARY_MESHLAB
-                            : STL_BINARY_MAGICS;
-            for (int c = 0; c < 3; c++)
-                out->object_color[c] = (float)(unsigned char)head[i + 6 + (size_t)c];
-            return;
-        }
-}
-
 /* Decides what a file is. The number of triangles in a binary header has 32 bits; the size of a
  * file with more than 2^32 tells the rest. A packed file, or a pipe, has no known size: then it is
  * text if it looks so, and the header counts the triangles. */
@@ -124,10 +101,9 @@ static int examine(struct bsq_ctx *ctx, const struct fmt_input *input, const cha
     const uint64_t space = body / STL_TRIANGLE_BYTES;
     const bool exact = known && size >= STL_HEADER_BYTES && body % STL_TRIANGLE_BYTES == 0 &&
                        (uint32_t)space == count;
-    out->kind = STL_TEXT;
-    if (!exact && is_text(head, size) && (known || !has_controls(head, size)))
+    out->text = !exact && is_text(head, size) && (known || !has_controls(head, size));
+    if (out->text)
         return 0;
-    out->kind = STL_BINARY;
     out->triangles = exact ? space : count;
     if (size < STL_HEADER_BYTES)
         return bsq_fail(ctx, BSQ_EDATA, "%s: truncated: %zu bytes are no STL file",
@@ -137,7 +113,7 @@ static int examine(struct bsq_ctx *ctx, const struct fmt_input *input, const cha
                         "%s: truncated: the header counts %" PRIu32
                         " triangles, the file has %" PRIu64,
                         fmt_input_path(input), count, space);
-    find_object_color(head, out);
+    out->odd = memmem(head, 80, "COLOR=", 6) != NULL; /* of Magics and MeshLab */
     return 0;
 }
 
@@ -173,8 +149,6 @@ static int begin_weld(struct stream_slot *slot, uint64_t most)
     BSQ_PASS(FMT_RESERVE(slot->ctx, sizeof(struct weld) + entries * sizeof(uint32_t), slot->work,
                          slot->work_capacity));
     BSQ_PASS(FMT_RESERVE(slot->ctx, most, a->positions, a->position_capacity));
-    if (a->has_colors)
-        BSQ_PASS(FMT_RESERVE(slot->ctx, most, a->colors, a->color_capacity));
     struct weld *weld = (struct weld *)(void *)slot->work;
     weld->mask = entries - 1;
     memset(weld->cells, 0, entries * sizeof(uint32_t));
@@ -193,24 +167,20 @@ static uint64_t hash_position(const double position[3])
 }
 
 /* Compares bit by bit, so that 0 and -0 stay different. */
-static bool is_same(const struct mesh_arrays *a, uint64_t vertex, const double position[3],
-                    const float *color)
+static bool is_same(const struct mesh_arrays *a, uint64_t vertex, const double position[3])
 {
-    /* NOLINTBEGIN(bugprone-suspicious-memory-comparison): see above */
-    return memcmp(a->positions[vertex], position, sizeof a->positions[vertex]) == 0 &&
-           (!color || memcmp(a->colors[vertex], color, sizeof a->colors[vertex]) == 0);
-    /* NOLINTEND(bugprone-suspicious-memory-comparison) */
+    /* NOLINTNEXTLINE(bugprone-suspicious-memory-comparison): see above */
+    return memcmp(a->positions[vertex], position, sizeof a->positions[vertex]) == 0;
 }
 
-/* Returns the number, in the block, of the vertex at this position; adds it if it is new. color:
- * NULL unless slot->arrays.has_colors. */
-static uint64_t weld_vertex(struct stream_slot *slot, const double position[3], const float *color)
+/* Returns the number, in the block, of the vertex at this position; adds it if it is new. */
+static uint64_t weld_vertex(struct stream_slot *slot, const double position[3])
 {
     struct weld *weld = (struct weld *)(void *)slot->work;
     struct mesh_arrays *a = &slot->arrays;
     uint64_t i = hash_position(position) & weld->mask;
     for (int probes = 0; probes < MOST_PROBES && weld->cells[i] != 0; probes++) {
-        if (is_same(a, weld->cells[i] - 1, position, color))
+        if (is_same(a, weld->cells[i] - 1, position))
             return weld->cells[i] - 1;
         i = (i + 1) & weld->mask;
     }
@@ -218,8 +188,6 @@ static uint64_t weld_vertex(struct stream_slot *slot, const double position[3], 
     if (weld->cells[i] == 0)
         weld->cells[i] = (uint32_t)vertex + 1;
     memcpy(a->positions[vertex], position, sizeof a->positions[vertex]);
-    if (color)
-        memcpy(a->colors[vertex], color, sizeof a->colors[vertex]);
     return vertex;
 }
 
@@ -251,65 +219,36 @@ static int cut_binary(const struct stl_source *file, const struct stream_block *
     return 1;
 }
 
-/* Sets the colour of a triangle. Returns whether it has one. */
-static bool decode_color(const struct stl_source *file, const uint8_t *triangle, float color[3])
-{
-    const uint32_t bits = triangle[48] | (uint32_t)triangle[49] << 8;
-    const bool magics = file->kind == STL_BINARY_MAGICS, top = bits >> 15;
-    const bool red_first = file->kind != STL_BINARY, given = magics || top;
-    if (magics && top) {
-        memcpy(color, file->object_color, sizeof file->object_color);
-        return true;
-    }
-    for (int c = 0; c < 3; c++) {
-        const uint32_t level = bits >> 5 * (red_first ? c : 2 - c) & 31;
-        color[c] = given ? (float)level * (255.0f / 31.0f) : -1.0f;
-    }
-    return given;
-}
-
-static bool any_color(const struct stl_source *file, const struct stream_slot *slot)
-{
-    float color[3];
-    for (uint64_t i = 0; i < slot->block.items; i++)
-        if (decode_color(file, slot->bytes + i * STL_TRIANGLE_BYTES, color))
-            return true;
-    return false;
-}
-
 /* Adds triangle number `i` of the block. Returns false if parsing must stop. */
-static bool add_triangle(const struct stl_source *file, struct stream_slot *slot, uint64_t i)
+static bool add_triangle(struct stream_slot *slot, uint64_t i)
 {
     struct mesh_arrays *a = &slot->arrays;
     const uint8_t *triangle = slot->bytes + i * STL_TRIANGLE_BYTES;
     double position[3];
-    float color[3], corner[3];
-    decode_color(file, triangle, color);
+    float corner[3];
+    slot->balance += triangle[49] >> 7; /* VisCAM and SolidView: there is a colour */
     slot->at = slot->block.offset + i * STL_TRIANGLE_BYTES;
     for (uint64_t k = 0; k < 3; k++) {
         memcpy(corner, triangle + 12 * (k + 1), sizeof corner);
         for (int c = 0; c < 3; c++)
             position[c] = (double)corner[c];
-        a->corners[FMT_MESH_VERTEX][3 * i + k] =
-            weld_vertex(slot, position, a->has_colors ? color : NULL);
+        a->corners[FMT_MESH_VERTEX][3 * i + k] = weld_vertex(slot, position);
     }
     a->face_sizes[i] = 3;
     a->corner_count += 3;
     return a->face_count++ != slot->last_face;
 }
 
-static int parse_binary(const struct stl_source *file, struct stream_slot *slot)
+static int parse_binary(struct stream_slot *slot)
 {
     struct mesh_arrays *a = &slot->arrays;
     const uint64_t count = slot->block.items;
-    a->has_colors = any_color(file, slot);
-    slot->color_white = 255.0f;
     BSQ_PASS(begin_weld(slot, 3 * count));
     BSQ_PASS(FMT_RESERVE(slot->ctx, count, a->face_sizes, a->size_capacity));
     BSQ_PASS(FMT_RESERVE(slot->ctx, 3 * count, a->corners[FMT_MESH_VERTEX],
                          a->corner_capacity[FMT_MESH_VERTEX]));
     for (uint64_t i = 0; i < count; i++)
-        if (!add_triangle(file, slot, i))
+        if (!add_triangle(slot, i))
             break;
     return 0;
 }
@@ -430,7 +369,7 @@ static bool read_vertex(struct text *t)
                             a->corner_capacity[FMT_MESH_VERTEX]);
     if (t->status)
         return false;
-    a->corners[FMT_MESH_VERTEX][corner] = weld_vertex(t->slot, position, NULL);
+    a->corners[FMT_MESH_VERTEX][corner] = weld_vertex(t->slot, position);
     t->size++;
     return true;
 }
@@ -521,7 +460,7 @@ static int parse_text(struct stream_slot *slot)
 static int cut(const struct stream_block *before, struct stream_slot *slot)
 {
     const struct stl_source *file = slot->source->data;
-    return file->kind == STL_TEXT ? cut_text(before, slot) : cut_binary(file, before, slot);
+    return file->text ? cut_text(before, slot) : cut_binary(file, before, slot);
 }
 
 static int parse(struct stream_slot *slot)
@@ -529,7 +468,7 @@ static int parse(struct stream_slot *slot)
     const struct stl_source *file = slot->source->data;
     slot->local = 1u << FMT_MESH_VERTEX;
     BSQ_PASS(fmt_stream_load(slot));
-    const int status = file->kind == STL_TEXT ? parse_text(slot) : parse_binary(file, slot);
+    const int status = file->text ? parse_text(slot) : parse_binary(slot);
     slot->arrays.vertex_bound = slot->arrays.count[FMT_MESH_VERTEX];
     return status;
 }
@@ -539,8 +478,8 @@ static int pass(struct stream_slot *slot)
 {
     const struct stream_source *source = slot->source;
     struct stl_source *file = source->data;
-    file->open_solids = slot->balance + (slot->block.offset > 0 ? file->open_solids : 0);
-    if (file->kind != STL_TEXT && slot->block.items == 0 && !source->reader->read_before)
+    file->odd = slot->balance + (slot->block.offset > 0 ? file->odd : 0);
+    if (!file->text && slot->block.items == 0 && !source->reader->read_before)
         return bsq_warn_loss(source->ctx, "%s: %" PRIu64 " bytes after the last triangle not read",
                              source->path, slot->block.end - slot->block.offset);
     return 0;
@@ -549,9 +488,12 @@ static int pass(struct stream_slot *slot)
 static int finish(struct stream_source *source)
 {
     const struct stl_source *file = source->data;
-    if (file->kind != STL_TEXT || file->open_solids <= 0 || source->reader->read_before)
+    if (file->odd <= 0 || source->reader->read_before)
         return 0;
-    return bsq_warn_loss(source->ctx, "%s: \"endsolid\" is missing: the file may be incomplete",
+    if (file->text)
+        return bsq_warn_loss(source->ctx, "%s: \"endsolid\" is missing: the file may be incomplete",
+                             source->path);
+    return bsq_warn_loss(source->ctx, "%s: colours of STL files are not read: those of PLY are",
                          source->path);
 }
 
@@ -560,12 +502,11 @@ static int estimate(struct stream_source *source, uint64_t bytes, bool plain,
                     struct fmt_mesh_estimate *out)
 {
     const struct stl_source *file = source->data;
-    const uint64_t triangles = file->kind == STL_TEXT ? bytes / 250 : file->triangles;
+    const uint64_t triangles = file->text ? bytes / 250 : file->triangles;
     (void)plain;
     out->faces += triangles;
     out->vertices += 3 * triangles;
     out->corners += 3 * triangles;
-    out->has_colors |= file->kind == STL_BINARY_MAGICS;
     out->faces_come_last = false;
     return 0;
 }

@@ -68,7 +68,7 @@ for kind in plain colors faces linear twice; do
     for file in "$top/tests/meshes/$kind".*.*; do
         ok run bisque-voxelize "$file" -o other.nvdb --tris other.tris --voxel-size 0.02
         same "$kind.nvdb" other.nvdb
-        if [ $kind != faces ]; then # colours of vertices in STL files, materials in others
+        if [ $kind != faces ]; then # materials in the one, colours of faces in the other
             same "$kind.tris" other.tris
         fi
     done

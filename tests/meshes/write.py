@@ -74,8 +74,8 @@ corners = points[triangles][:, :, :2].reshape(-1, 2)
 scene = pymeshlab.MeshSet()
 scene.add_mesh(pymeshlab.Mesh(points, triangles, f_color_matrix=faces, w_tex_coords_matrix=corners))
 scene.save_current_mesh("faces.meshlab.ply", save_vertex_color=False)
-scene.save_current_mesh("faces.meshlab.stl", colormode=True)
-scene.save_current_mesh("faces.meshlab.viscam.stl", colormode=False)
+scene.save_current_mesh("plain.meshlab.stl", colormode=True)
+scene.save_current_mesh("plain.meshlab.viscam.stl", colormode=False)
 scene.save_current_mesh("plain.meshlab.text.stl", binary=False)
 
 # Open3D writes STL files with normals only, and normals of vertices into PLY files if it has them.

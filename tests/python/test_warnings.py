@@ -80,10 +80,10 @@ def ply(path, vertex="", face="", more="", comment="", colors=False, tail=b""):
     return [path]
 
 
-def stl(path, tail):
+def stl(path, tail=b"", head=b"cube"):
     triangles = [t for a, b, c, d in QUADS for t in ((a, b, c), (a, c, d))]
     body = b"".join(struct.pack("<12fH", 0, 0, 0, *(x for c in t for x in CORNERS[c - 1]), 0) for t in triangles)
-    Path(path).write_bytes(b"cube".ljust(80, b"\0") + struct.pack("<I", len(triangles)) + body + tail)
+    Path(path).write_bytes(head.ljust(80, b"\0") + struct.pack("<I", len(triangles)) + body + tail)
     return [path]
 
 
@@ -161,6 +161,7 @@ RECIPES = {
     "a PLY file's colours": (lambda d: ply(d / "s.ply", vertex="uchar red,uchar green,uchar blue",
                                            face="uchar red,uchar green,uchar blue"), ["colours of faces are not used"]),
     "an STL file's end": (lambda d: stl(d / "s.stl", b"1234"), ["bytes after the last triangle not read"]),
+    "an STL file's colours": (lambda d: stl(d / "s.stl", head=b"COLOR=1234"), ["colours of STL files"]),
     "a cut STL file": (lambda d: stl_text(d / "s.stl"), ['"endsolid" is missing']),
     "corners for nothing": (lambda d: [cube(d / "scan.obj", faces=["f 1/1 3/2 4/99 2/4", "f 5/1 6/2 8/3 7/4"])], [
         "corners that refer to a %s"]),

@@ -1,4 +1,4 @@
-/* test_stl.c - the STL reader on text and binary files, colours, and wrong files. */
+/* test_stl.c - the STL reader on text and binary files, and wrong files. */
 #include "tests/unit/test.h"
 #include "tests/unit/formats/mesh/obj_fixture.h"
 
@@ -55,7 +55,6 @@ TEST(test_binary)
         obj_assert_corners(&f, 0, 9, 0, 1, 2, 0, 3, 4, 0, 5, 6);
         const double last[3] = {2, 2, 0.5};
         assert_memory_equal(f.scan.positions[6], last, sizeof last);
-        assert_float_equal(f.scan.colors[0][0], -1, 0);
         obj_close(&f);
     }
 }
@@ -190,38 +189,18 @@ TEST(test_blank_lines)
     free(text);
 }
 
-static void assert_color(const struct obj_fixture *f, uint64_t corner, float r, float g, float b)
+/* VisCAM and SolidView set the highest bit of a triangle's attribute if it has a colour; Magics and
+ * MeshLab name a colour in the header. */
+TEST(test_colors_are_told)
 {
-    const float *color = f->scan.colors[f->scan.corners[0][corner]];
-    assert_float_equal(color[0], r, 1e-4);
-    assert_float_equal(color[1], g, 1e-4);
-    assert_float_equal(color[2], b, 1e-4);
-}
-
-/* VisCAM and SolidView: blue in the lowest bits; the highest bit is set if there is a colour. */
-TEST(test_viscam_colors)
-{
-    struct obj_fixture f;
-    const unsigned attributes[3] = {0x8000 | 31, 0x8000 | 31 << 10 | 15 << 5, 31};
-    struct binary b = make_binary("a scan", 3, attributes);
-    read_bytes(&f, b.bytes, b.size);
-    assert_color(&f, 0, 0, 0, 255);
-    assert_color(&f, 4, 255, 15 * 255.0f / 31, 0);
-    assert_color(&f, 8, -1, -1, -1);
-    obj_close(&f);
-}
-
-/* Magics: red in the lowest bits; the highest bit is set if a triangle has the object's colour. */
-TEST(test_magics_colors)
-{
-    struct obj_fixture f;
-    const unsigned attributes[3] = {31, 0x8000 | 31, 31 << 10};
-    struct binary b = make_binary("made by hand COLOR=\012\024\036\377,MATERIAL=", 3, attributes);
-    read_bytes(&f, b.bytes, b.size);
-    assert_color(&f, 0, 255, 0, 0);
-    assert_color(&f, 4, 10, 20, 30);
-    assert_color(&f, 8, 0, 0, 255);
-    obj_close(&f);
+    const unsigned one[2] = {0, 0x8000 | 31}, none[2] = {31, 0x7fff};
+    const struct binary files[] = {make_binary("a scan", 2, none), make_binary("a scan", 2, one),
+                                   make_binary("a COLOR=\012\024\036\377,MATERIAL=", 2, none)};
+    for (int i = 0; i < 3; i++)
+        mesh_expect_warnings(test_bytes("scan.stl", files[i].bytes, files[i].size), 2,
+                             i == 0 ? ""
+                                    : "scan.stl: colours of STL files are not read: those of PLY "
+                                      "are\n");
 }
 
 /* ---- wrong files ---- */
