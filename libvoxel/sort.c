@@ -56,15 +56,6 @@ static void report_totals(struct vox_sort_report *report, const struct fmt_mesh_
     report->skipped_lines = totals->skipped_lines;
 }
 
-static int check_disk(struct bsq_ctx *ctx, const struct fmt_mesh_estimate *scan,
-                      const struct sort_limits *limits, const struct vox_sort_options *options)
-{
-    struct disk_space space =
-        vox_disk_estimate(scan, limits, options->scan_normals != BSQ_SCAN_NORMALS_FLAT);
-    return bsq_require_space(ctx, options->tris_path, space.output_bytes,
-                             space.temp_bytes + scan->temp_bytes);
-}
-
 static int read_batches(struct scan *scan, struct fmt_mesh_reader *reader,
                         const struct vox_sort_options *options, enum partition_passes passes,
                         struct scan_textures *textures, struct partition *out)
@@ -171,7 +162,7 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
 {
     struct fmt_mesh_reader *reader = NULL;
     struct bsq_ctx *ctx = scan->ctx;
-    struct fmt_mesh_estimate estimate = {0};
+    struct fmt_mesh_hints hints = {0};
     struct scan_textures textures = {.channels = options->channels,
                                      .channel_count = options->channel_count,
                                      .only_channels = options->texture_path != NULL};
@@ -186,11 +177,10 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     BSQ_TRY(fmt_mesh_open_inputs(ctx, &inputs, &reader));
     if (options->ids == VOX_IDS_OBJECT)
         fmt_mesh_use_objects(reader);
-    BSQ_TRY(fmt_mesh_estimate(reader, &estimate));
-    BSQ_TRY(check_disk(ctx, &estimate, limits, options));
-    BSQ_TRY(vox_textures_preview(ctx, reader, options->texture_path, estimate.texcoords > 0,
-                                 &textures));
-    status = read_passes(scan, reader, options, estimate.faces_come_last && !limits->two_passes,
+    BSQ_TRY(fmt_mesh_look(reader, &hints));
+    BSQ_TRY(
+        vox_textures_preview(ctx, reader, options->texture_path, hints.has_texcoords, &textures));
+    status = read_passes(scan, reader, options, hints.faces_come_last && !limits->two_passes,
                          &textures, out);
 done:
     vox_textures_free(ctx, &textures);

@@ -40,8 +40,7 @@ struct fmt_input {
     bool packed;
     const struct bsq_source *source; /* NULL: a file or a pipe */
     int pipe_fd;                     /* -1: a file, or a source */
-    uint64_t file_size;
-    atomic_uint_least64_t size; /* of all that readers get; UINT64_MAX: not known yet */
+    atomic_uint_least64_t size;      /* of all that readers get; UINT64_MAX: not known yet */
 
     pthread_mutex_t lock; /* held while somebody opens, closes or unpacks */
     unsigned users;
@@ -213,10 +212,9 @@ static int input_examine(struct fmt_input *input)
     int status = 0;
     BSQ_TRY(bsq_file_open(input->ctx, input->path, &input->file));
     BSQ_TRY(bsq_file_read_some(input->ctx, &input->file, head, sizeof head, 0, &size));
-    input->file_size = input->file.size;
     input->packed = fmt_unpack_recognise(head, size);
     if (!input->packed)
-        input->size = input->file_size;
+        input->size = input->file.size;
 done:
     bsq_file_close(input->ctx, &input->file);
     return status;
@@ -239,7 +237,7 @@ static int input_create(struct bsq_ctx *ctx, const char *path, const char *besid
     BSQ_TRY(bsq_text_copy(ctx, path, &input->path));
     BSQ_TRY(bsq_text_copy(ctx, beside, &input->beside));
     if (source)
-        input->size = input->file_size = source->bytes;
+        input->size = source->bytes;
     else
         BSQ_TRY(pipes && fmt_input_is_pipe(path) ? open_pipe(input) : input_examine(input));
     input->named = !source && !is_pipe(input);
@@ -420,22 +418,6 @@ int fmt_input_peek(struct fmt_input *input, void *buffer, uint64_t size, uint64_
     *got = 0;
     BSQ_PASS(fmt_input_open(input));
     int status = fmt_input_read_some(input, buffer, size, 0, got);
-    const int closed = fmt_input_close(input);
-    return status ? status : closed;
-}
-
-int fmt_input_guess(struct fmt_input *input, uint64_t *bytes, bool *plain)
-{
-    uint64_t size;
-    *plain = fmt_input_is_plain(input);
-    *bytes = input->size == UINT64_MAX ? 0 : input->size;
-    if (!input->packed || *bytes > 0)
-        return 0;
-    BSQ_PASS(fmt_input_open(input));
-    const int status = fmt_input_reach(input, FMT_INPUT_SAMPLE_BYTES, &size);
-    const uint64_t taken = fmt_unpack_taken(input->unpacker);
-    const double ratio = taken > 0 ? (double)input->stored / (double)taken : 0.0;
-    *bytes = size < UINT64_MAX ? size : (uint64_t)(ratio * (double)input->file_size);
     const int closed = fmt_input_close(input);
     return status ? status : closed;
 }

@@ -67,10 +67,7 @@ int fmt_input_whole(struct fmt_input *input, struct bsq_file *out);
 /* Returns true for a plain file: bytes of it can be named by their place in the file. */
 bool fmt_input_is_plain(const struct fmt_input *input);
 
-/* Returns a guess of the unpacked bytes. It is exact for plain files; 0 for a pipe that has not
- * ended. That of a packed file follows from its start, at most INPUT_SAMPLE_BYTES. Do not call it
- * while the input is open. */
-int fmt_input_guess(struct fmt_input *input, uint64_t *bytes, bool *plain);
+/* What is looked at of a packed file, or a pipe. */
 #define FMT_INPUT_SAMPLE_BYTES ((uint64_t)1 << 20)
 
 /* Reads a small file of text whole, with `padding` zeros after its end. The caller frees *text with

@@ -63,14 +63,10 @@ bool fmt_unpack_recognise(const uint8_t *head, uint64_t size)
 
 /* ---- packed bytes ---- */
 
-uint64_t fmt_unpack_taken(const struct unpacker *u)
-{
-    return u->given - (u->in_end - u->in_begin);
-}
-
 static int fail(struct unpacker *u, const char *why, const char *detail)
 {
-    snprintf(u->error, sizeof u->error, "byte %" PRIu64 ": %s%s", fmt_unpack_taken(u), why, detail);
+    snprintf(u->error, sizeof u->error, "byte %" PRIu64 ": %s%s",
+             u->given - (u->in_end - u->in_begin), why, detail);
     return BSQ_EDATA;
 }
 

@@ -31,7 +31,5 @@ void fmt_unpack_free(struct unpacker *unpacker); /* NULL is allowed */
  * source. */
 int fmt_unpack_next(struct unpacker *unpacker, const uint8_t **bytes, uint64_t *size);
 const char *fmt_unpack_error(const struct unpacker *unpacker);
-/* Returns the packed bytes whose contents were given so far, within some KiB. */
-uint64_t fmt_unpack_taken(const struct unpacker *unpacker);
 
 #endif

@@ -499,17 +499,10 @@ static int finish(struct stream_source *source)
     return fmt_stream_warn_unread(source, kinds, sizeof kinds / sizeof *kinds);
 }
 
-static int estimate(struct stream_source *source, uint64_t bytes, bool plain,
-                    struct fmt_mesh_estimate *out)
+static int look(struct stream_source *source, struct fmt_mesh_hints *out)
 {
     const struct gltf_source *file = source->data;
-    (void)bytes, (void)plain;
-    out->vertices += file->total[FMT_MESH_VERTEX];
-    out->texcoords += file->total[FMT_MESH_TEXCOORD];
-    out->normals += file->total[FMT_MESH_NORMAL];
-    out->faces += file->triangles;
-    out->corners += 3 * file->triangles;
-    out->has_colors |= source->reader->gltf_colors;
+    out->has_texcoords |= file->total[FMT_MESH_TEXCOORD] > 0;
     return 0;
 }
 
@@ -562,7 +555,7 @@ const struct fmt_mesh_format fmt_gltf_format = {
     .parse = parse,
     .pass = pass,
     .finish = finish,
-    .estimate = estimate,
+    .look = look,
     .read_materials = list_materials,
     .preview_materials = list_materials,
     .find_object = find_object,

@@ -195,9 +195,8 @@ struct fmt_mesh_format {
     /* Called for each file, in order, after all have been read. Warns of what was not read if the
      * reader's read_before is not set. May be NULL. */
     int (*finish)(struct stream_source *source);
-    /* Adds a file to the estimate. bytes: of the unpacked file, exactly if it is plain. */
-    int (*estimate)(struct stream_source *source, uint64_t bytes, bool plain,
-                    struct fmt_mesh_estimate *out);
+    /* Sets what a file has, and clears faces_come_last if elements follow faces. */
+    int (*look)(struct stream_source *source, struct fmt_mesh_hints *out);
     /* Append what is known of a file's materials to the list: in the order in which the file counts
      * them, and as fmt_mesh_preview_materials() does. NULL: the format has no materials. */
     int (*read_materials)(struct stream_source *source, struct fmt_materials *out);

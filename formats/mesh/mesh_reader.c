@@ -272,43 +272,13 @@ int fmt_mesh_read(struct fmt_mesh_reader *reader,
     return fmt_mesh_read_steps(reader, &steps, arg, totals);
 }
 
-static void limit(uint64_t *count, uint64_t most)
+int fmt_mesh_look(const struct fmt_mesh_reader *reader, struct fmt_mesh_hints *out)
 {
-    *count = *count < most ? *count : most;
-}
-
-/* Limits what headers of packed files claim to what the unpacked bytes can hold, at four bytes an
- * element. Of a pipe nothing is known, and nothing is believed. */
-static void limit_estimate(struct fmt_mesh_estimate *estimate, uint64_t bytes)
-{
-    limit(&estimate->vertices, bytes / 4);
-    limit(&estimate->texcoords, bytes / 4);
-    limit(&estimate->normals, bytes / 4);
-    limit(&estimate->faces, bytes / 4);
-    limit(&estimate->corners, bytes);
-}
-
-int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_estimate *out)
-{
-    uint64_t temp_bytes = 0, all_bytes = 0;
-    bool all_plain = true;
-    *out = (struct fmt_mesh_estimate){.faces_come_last = reader->source_count == 1};
-    for (uint32_t i = 0; i < reader->source_count; i++) {
-        struct stream_source *source = &reader->sources[i];
-        uint64_t bytes = 0;
-        bool plain;
-        BSQ_PASS(fmt_input_guess(source->input, &bytes, &plain));
-        BSQ_PASS(source->format->estimate(source, bytes, plain, out));
-        all_bytes += bytes;
-        all_plain &= plain;
-        /* Unpacked files are dropped one after the other. */
-        if (!plain && bytes > temp_bytes)
-            temp_bytes = bytes;
-    }
-    if (!all_plain)
-        limit_estimate(out, all_bytes);
-    out->temp_bytes = temp_bytes;
-    return 0;
+    int status = 0;
+    *out = (struct fmt_mesh_hints){.faces_come_last = reader->source_count == 1};
+    for (uint32_t i = 0; i < reader->source_count && status == 0; i++)
+        status = reader->sources[i].format->look(&reader->sources[i], out);
+    return status;
 }
 
 void fmt_mesh_use_objects(struct fmt_mesh_reader *reader)

@@ -155,18 +155,14 @@ int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_st
 /* Returns how many batches a reader holds at most. A batch takes up to 4 MiB, as a rule. */
 unsigned fmt_mesh_max_slots(const struct fmt_mesh_reader *reader);
 
-/* Estimated size of a scan, within some percent for ordinary files. */
-struct fmt_mesh_estimate {
-    uint64_t vertices, texcoords, normals, faces, corners;
-    bool has_colors;
+/* What samples of the files tell of a scan. */
+struct fmt_mesh_hints {
+    bool has_texcoords;
     bool faces_come_last; /* a single file, in which probably no elements follow faces */
-    /* Of temporary files with unpacked bytes. What comes through a pipe is not known, nor counted.
-     */
-    uint64_t temp_bytes;
 };
-/* Estimates the size from samples of the files, without reading all of them. Of a packed file, or a
- * pipe, it knows only the start. */
-int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_estimate *out);
+/* Looks at samples of the files, without reading all of them; of a packed file, or a pipe, only at
+ * the start. */
+int fmt_mesh_look(const struct fmt_mesh_reader *reader, struct fmt_mesh_hints *out);
 
 /* ---- materials ---- */
 

@@ -274,70 +274,48 @@ static int finish(struct stream_source *source)
     return check_is_obj(source, 0);
 }
 
-/* ---- estimating ---- */
+/* ---- samples ---- */
 
 /* Samples of a plain file. Of others, the start is sampled. */
 enum { SAMPLES = 32, SAMPLE_BYTES = 8192 };
 
-/* Parses the whole lines of a sample, from block.offset of the file. Returns in *parsed their
- * bytes, and in *follows whether elements follow faces of earlier samples. */
-static int parse_sample(struct stream_slot *slot, uint64_t size, uint64_t *parsed, bool *follows)
+/* Parses the whole lines of a sample, from block.offset of the file. Clears faces_come_last if
+ * elements follow faces of earlier samples. */
+static int parse_sample(struct stream_slot *slot, uint64_t size, struct fmt_mesh_hints *out)
 {
     const struct mesh_arrays *a = &slot->arrays;
     const uint64_t faces = a->face_count, elements = a->count[0] + a->count[1] + a->count[2];
     const uint8_t *end = memrchr(slot->bytes, '\n', size), *begin = slot->bytes;
     if (slot->block.offset > 0)
         begin = memchr(slot->bytes, '\n', size);
-    *parsed = 0;
     if (!begin)
         return 0;
     begin += slot->block.offset > 0;
     if (!end || end < begin)
         return 0;
-    *parsed = (uint64_t)(end - begin) + 1;
-    int status = fmt_obj_parse_text(slot, (uint64_t)(begin - slot->bytes), *parsed, false);
-    *follows = faces > 0 && a->count[0] + a->count[1] + a->count[2] > elements;
-    return status;
+    BSQ_PASS(fmt_obj_parse_text(slot, (uint64_t)(begin - slot->bytes), (uint64_t)(end - begin) + 1,
+                                false));
+    out->faces_come_last &= faces == 0 || a->count[0] + a->count[1] + a->count[2] == elements;
+    return 0;
 }
 
-/* Adds what the elements in `parsed` bytes tell of a file. In most scans the start has only
- * vertices; if no more is known, faces are taken for two triangles a vertex, as closed surfaces
- * have. */
-static void add_estimate(const struct mesh_arrays *a, bool only_start, uint64_t bytes,
-                         uint64_t parsed, struct fmt_mesh_estimate *out)
-{
-    const uint64_t bytes_of_face = 24, vertices = a->count[FMT_MESH_VERTEX];
-    const bool guess = only_start && a->face_count == 0;
-    const uint64_t faces = guess ? 2 * vertices : a->face_count;
-    const double all = (double)(parsed + (guess ? faces * bytes_of_face : 0));
-    const double scale = all > 0.0 ? (double)bytes / all : 0.0;
-    out->vertices += (uint64_t)(scale * (double)vertices);
-    out->texcoords += (uint64_t)(scale * (double)a->count[FMT_MESH_TEXCOORD]);
-    out->normals += (uint64_t)(scale * (double)a->count[FMT_MESH_NORMAL]);
-    out->faces += (uint64_t)(scale * (double)faces);
-    out->corners += (uint64_t)(scale * (double)(guess ? 3 * faces : a->corner_count));
-    out->has_colors |= a->has_colors || a->late_color_count > 0;
-}
-
-static int estimate(struct stream_source *source, uint64_t bytes, bool plain,
-                    struct fmt_mesh_estimate *out)
+static int look(struct stream_source *source, struct fmt_mesh_hints *out)
 {
     struct stream_slot slot = {.ctx = source->ctx, .source = source, .last_face = UINT64_MAX};
+    const bool plain = fmt_input_is_plain(source->input);
+    const uint64_t bytes = plain ? fmt_input_size(source->input) : 0;
     const uint64_t size = plain ? SAMPLE_BYTES : FMT_INPUT_SAMPLE_BYTES;
     const uint64_t step = bytes / SAMPLES > size ? bytes / SAMPLES : size;
-    uint64_t got, parsed = 0, more = 0;
-    bool follows = false;
+    uint64_t got;
     int status;
     BSQ_PASS(fmt_input_open(source->input));
     do {
         BSQ_TRY(fmt_stream_reserve(&slot, size));
         BSQ_TRY(fmt_input_read_some(source->input, slot.bytes, size, slot.block.offset, &got));
-        BSQ_TRY(parse_sample(&slot, got, &more, &follows));
-        parsed += more;
-        out->faces_come_last &= !follows;
+        BSQ_TRY(parse_sample(&slot, got, out));
         slot.block.offset += step;
-    } while (plain && slot.block.offset < bytes);
-    add_estimate(&slot.arrays, !plain && got == size, bytes, parsed, out);
+    } while (slot.block.offset < bytes);
+    out->has_texcoords |= slot.arrays.count[FMT_MESH_TEXCOORD] > 0;
 done:
     fmt_stream_free_slot(&slot);
     const int closed = fmt_input_close(source->input);
@@ -362,7 +340,7 @@ const struct fmt_mesh_format fmt_obj_format = {
     .parse = parse,
     .pass = pass,
     .finish = finish,
-    .estimate = estimate,
+    .look = look,
     .read_materials = fmt_obj_read_materials,
     .preview_materials = fmt_obj_preview_materials,
     .find_object = fmt_obj_find_object,

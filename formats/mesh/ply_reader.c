@@ -477,23 +477,13 @@ static int finish(struct stream_source *source)
     return 0;
 }
 
-/* Faces are taken for triangles. */
-static int estimate(struct stream_source *source, uint64_t bytes, bool plain,
-                    struct fmt_mesh_estimate *out)
+static int look(struct stream_source *source, struct fmt_mesh_hints *out)
 {
     const struct ply_source *file = source->data;
-    const struct ply_element *vertices = fmt_ply_find_element(&file->header, PLY_VERTICES);
-    const struct ply_element *faces = fmt_ply_find_element(&file->header, PLY_FACES);
-    (void)bytes, (void)plain;
-    out->vertices += vertices->count;
-    out->normals += file->vertex_normals ? vertices->count : 0;
-    out->texcoords += file->vertex_texcoords   ? vertices->count
-                      : file->corner_texcoords ? 3 * faces->count
-                                               : 0;
-    out->faces += faces->count;
-    out->corners += 3 * faces->count;
-    out->has_colors |= vertices->role[PLY_RED] != NULL;
-    out->faces_come_last &= !file->corner_texcoords && faces > vertices;
+    const struct ply_header *h = &file->header;
+    out->has_texcoords |= file->vertex_texcoords || file->corner_texcoords;
+    out->faces_come_last &= !file->corner_texcoords && fmt_ply_find_element(h, PLY_FACES) >
+                                                           fmt_ply_find_element(h, PLY_VERTICES);
     return 0;
 }
 
@@ -523,7 +513,7 @@ const struct fmt_mesh_format fmt_ply_format = {
     .parse = parse,
     .pass = pass,
     .finish = finish,
-    .estimate = estimate,
+    .look = look,
     .read_materials = read_materials,
     .preview_materials = read_materials,
 };

@@ -497,16 +497,9 @@ static int finish(struct stream_source *source)
                          source->path);
 }
 
-/* A triangle of text takes about 250 bytes. Vertices are counted as if none were equal. */
-static int estimate(struct stream_source *source, uint64_t bytes, bool plain,
-                    struct fmt_mesh_estimate *out)
+static int look(struct stream_source *source, struct fmt_mesh_hints *out)
 {
-    const struct stl_source *file = source->data;
-    const uint64_t triangles = file->text ? bytes / 250 : file->triangles;
-    (void)plain;
-    out->faces += triangles;
-    out->vertices += 3 * triangles;
-    out->corners += 3 * triangles;
+    (void)source;
     out->faces_come_last = false;
     return 0;
 }
@@ -522,5 +515,5 @@ const struct fmt_mesh_format fmt_stl_format = {
     .parse = parse,
     .pass = pass,
     .finish = finish,
-    .estimate = estimate,
+    .look = look,
 };

@@ -37,17 +37,4 @@ int vox_partition_read(struct scan *scan, struct fmt_mesh_reader *reader, const 
                        enum partition_passes passes, struct partition *out);
 void vox_partition_free(struct partition *partition);
 
-/* ---- disk ---- */
-
-struct disk_space {
-    uint64_t output_bytes; /* of the chunk file */
-    uint64_t temp_bytes;
-};
-
-/* Estimates what sorting a scan of this size needs on disk. The estimate is meant for faces that
- * refer to vertices in their order, or nearly so. Other scans need more, so no scan is refused that
- * has enough space. */
-struct disk_space vox_disk_estimate(const struct fmt_mesh_estimate *scan,
-                                    const struct sort_limits *limits, bool makes_normals);
-
 #endif

@@ -192,15 +192,10 @@ done:
 
 /* ---- the format ---- */
 
-static int off_estimate(struct stream_source *source, uint64_t bytes, bool plain,
-                        struct fmt_mesh_estimate *out)
+static int off_look(struct stream_source *source, struct fmt_mesh_hints *out)
 {
-    const struct off_file *file = source->data;
-    (void)bytes, (void)plain;
-    out->vertices += file->vertices;
-    out->faces += file->faces;
-    out->corners += 3 * file->faces;
-    return 0;
+    (void)source, (void)out;
+    return 0; /* no texture coordinates, and faces come last */
 }
 
 const struct fmt_mesh_format fmt_off_format = {
@@ -212,5 +207,5 @@ const struct fmt_mesh_format fmt_off_format = {
     .begin = off_begin,
     .cut = off_cut,
     .parse = off_parse,
-    .estimate = off_estimate,
+    .look = off_look,
 };

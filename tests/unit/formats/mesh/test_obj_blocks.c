@@ -223,4 +223,40 @@ TEST(test_every_truncated_length)
     }
 }
 
+/* ---- samples ---- */
+
+/* Looks at `rounds` of vertices and the faces after them, with texture coordinates or without. */
+static struct fmt_mesh_hints look_at(int rounds, bool texcoords)
+{
+    enum { LINES = 60000 };
+    struct model m = {.text = malloc(2 * LINES * 20)};
+    struct fmt_mesh_reader *reader;
+    struct fmt_mesh_hints hints;
+    struct bsq_ctx *ctx = test_context(1, 0);
+    assert_non_null(m.text);
+    for (int round = 0; round < rounds; round++) {
+        for (int i = 0; i < LINES / rounds; i++)
+            put(&m, texcoords && i % 2 ? "vt 0 0\n" : "v 0 0 0\n");
+        for (int i = 0; i < LINES / rounds; i++)
+            put(&m, "f 1 1 1\n");
+    }
+    const char *path = test_bytes("look.obj", m.text, m.size);
+    assert_int_equal(fmt_mesh_open(ctx, &path, 1, &reader), 0);
+    assert_int_equal(fmt_mesh_look(reader, &hints), 0);
+    fmt_mesh_close(reader);
+    test_context_end(ctx);
+    free(m.text);
+    return hints;
+}
+
+TEST(test_samples_tell_of_order_and_texture_coordinates)
+{
+    for (int texcoords = 0; texcoords < 2; texcoords++)
+        for (int rounds = 1; rounds < 4; rounds++) {
+            const struct fmt_mesh_hints hints = look_at(rounds, texcoords);
+            assert_int_equal(hints.has_texcoords, texcoords);
+            assert_int_equal(hints.faces_come_last, rounds == 1);
+        }
+}
+
 RUN_TESTS(NULL, NULL)

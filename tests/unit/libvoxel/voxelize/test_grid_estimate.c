@@ -2,6 +2,7 @@
 #include "libvoxel/voxelize/voxelize_run.h"
 #include "libvoxel/voxel.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
+#include "base/file.h"
 #include "tests/unit/test.h"
 
 #include <sys/statvfs.h>
@@ -149,6 +150,20 @@ FIXTURE_TEST(test_grids_larger_than_the_disk_are_refused)
     free_bytes = 4096 * 4096 * 11 - 100;
     assert_int_equal(check(f, 1.0 / 4096), BSQ_EIO);
     assert_int_equal(f->warnings, 0);
+}
+
+/* If temporary files are on the output's disk, it must have space for both. */
+FIXTURE_TEST(outputs_and_temporary_files_share_a_disk)
+{
+    struct bsq_ctx_options elsewhere = {.tmpdir = "/proc"};
+    free_bytes = 100;
+    assert_int_equal(bsq_require_space(f->ctx, "scan.nvdb", 60, 40), 0);
+    assert_int_equal(bsq_require_space(f->ctx, "scan.nvdb", 60, 41), BSQ_EIO);
+    bsq_ctx_destroy(f->ctx);
+    assert_int_equal(bsq_ctx_create(&elsewhere, &f->ctx), 0);
+    assert_int_equal(bsq_require_space(f->ctx, "scan.nvdb", 60, 41), 0);
+    assert_int_equal(bsq_require_space(f->ctx, "scan.nvdb", 60, 101), BSQ_EIO);
+    assert_non_null(strstr(bsq_error(f->ctx), "/proc: 101 bytes are needed for temporary files"));
 }
 
 RUN_TESTS(NULL, NULL)
