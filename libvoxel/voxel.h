@@ -280,9 +280,8 @@ struct vox_simplify_options {
     /** Pieces of fewer triangles of the scan are dropped. Those of a scan that is reduced in parts
      * are estimated: each triangle that is left before the last collapse stands for as many. */
     uint64_t min_triangles;
-    double hard_angle;   /**< Normals are smooth over edges up to that many degrees. */
-    bool keep_materials; /**< Triangles of different materials stay apart, and keep these. */
-    bool unmeasured;     /**< Distances are not measured: they are 0. Not for an error. */
+    double hard_angle; /**< Normals are smooth over edges up to that many degrees. */
+    bool unmeasured;   /**< Distances are not measured: they are 0. Not for an error. */
 };
 
 /** What vox_simplify() did. */
@@ -316,7 +315,7 @@ void vox_simplify_defaults(struct vox_simplify_options *options);
  * scan. The first part collapses groups of chunks with locked borders and quadrics (Garland and
  * Heckbert, 1997), the last one the whole mesh without memory of the scan, under the constraint
  * that its volume stays (Lindstrom and Turk, 1998). Vertices are welded by position; colours,
- * texture coordinates and, unless they are kept, materials have no influence. Output bytes do not
+ * texture coordinates and materials have no influence. Output bytes do not
  * depend on budget or threads. Errors: BSQ_ENOINPUT; BSQ_EDATA for a damaged chunk file, or an
  * error that cannot be kept; BSQ_EUSAGE; BSQ_ENOMEM; BSQ_ECANTCREAT; BSQ_EIO; BSQ_EINTR. */
 int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options,

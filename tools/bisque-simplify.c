@@ -58,8 +58,6 @@ static const struct bsq_option rows[] = {
      BSQ_OWN},
     {BSQ_ROW("min-triangles", "N", "drop separate pieces of fewer triangles of the scan"),
      MEMBER(COUNT, min_triangles), BSQ_RANGE(0, UINT32_MAX, 0)},
-    {BSQ_ROW("keep-borders", "KIND", "keep triangles of different materials apart: none, material"),
-     MEMBER(FLAG, simplify.keep_materials), .words = "none material"},
     {BSQ_ROW("hard-angle", "DEG", "edges with a larger angle than this look sharp"),
      MEMBER(NUMBER, simplify.hard_angle), BSQ_RANGE(0, 180, 180)},
 };
@@ -220,7 +218,6 @@ static int sort_meshes(struct cli *cli, const struct arguments *arguments,
     options.tris_path = arguments->output;
     options.temp_tris = temp;
     options.scan_normals = BSQ_SCAN_NORMALS_FLAT; /* they are not used */
-    options.ids = arguments->simplify.keep_materials ? VOX_IDS_MATERIAL : VOX_IDS_NONE;
     return vox_sort(cli->ctx, &options, report);
 }
 

@@ -6,7 +6,6 @@
 #include <string.h>
 #include <strings.h>
 
-#include "base/sort_array.h"
 #include "base/text.h"
 #include "base/geometry/vec.h"
 #include "formats/asset/glb.h"
@@ -16,10 +15,6 @@ struct shaded {
     uint32_t vertex;
     bool common; /* the normal of all its corners */
     float normal[3];
-};
-
-struct ordered {
-    uint32_t material, triangle;
 };
 
 /* A corner of the vertex in work. */
@@ -37,8 +32,6 @@ struct writing {
     uint32_t *starts, *corners; /* of each vertex: its corners are corners[starts[v]...] */
     struct shaded *shaded;      /* by vertices */
     uint32_t *shaded_of;        /* of corners */
-    struct ordered *order;      /* triangles by their materials */
-    uint32_t *shaded_number;    /* in the last primitive of a GLB file that has it */
     uint32_t shaded_count;
     uint64_t shaded_capacity;
     struct bsq_output *output;
@@ -197,37 +190,6 @@ static int digits(double origin)
     return origin != 0 ? 15 : 9;
 }
 
-static int compare_ordered(const void *a_, const void *b_)
-{
-    const struct ordered *a = a_, *b = b_;
-    if (a->material != b->material)
-        return a->material < b->material ? -1 : 1;
-    return a->triangle < b->triangle ? -1 : a->triangle > b->triangle;
-}
-
-static bool is_first_of_material(const struct writing *w, uint32_t i)
-{
-    return i == 0 || w->order[i].material != w->order[i - 1].material;
-}
-
-/* Returns the name of a material; `number` receives it if it has only a number. */
-static const char *material_name(const struct writing *w, uint32_t material, char number[32])
-{
-    const char *name = material == UINT32_MAX ? "none" : w->header->materials[material].name;
-    snprintf(number, 32, "material_%u", material);
-    return name && *name ? name : number;
-}
-
-/* Writes the name of a material as one line. */
-static void write_material(struct writing *w, uint32_t material)
-{
-    char number[32];
-    fputs("usemtl ", w->file);
-    for (const char *name = material_name(w, material, number); *name; name++)
-        putc(*name == '\n' || *name == '\r' ? '_' : *name, w->file);
-    putc('\n', w->file);
-}
-
 static void write_obj(struct writing *w)
 {
     const struct fmt_low_mesh *mesh = w->mesh;
@@ -241,11 +203,8 @@ static void write_obj(struct writing *w)
         const float *n = w->shaded[i].normal;
         fprintf(w->file, "vn %.7g %.7g %.7g\n", (double)n[0], (double)n[1], (double)n[2]);
     }
-    for (uint32_t i = 0; i < mesh->triangle_count; i++) {
-        const uint32_t t = w->order[i].triangle;
+    for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         const uint32_t *v = mesh->triangles[t], *n = &w->shaded_of[3 * (size_t)t];
-        if (mesh->materials && is_first_of_material(w, i))
-            write_material(w, mesh->materials[t]);
         fprintf(w->file, "f %u//%u %u//%u %u//%u\n", v[0] + 1, n[0] + 1, v[1] + 1, n[1] + 1,
                 v[2] + 1, n[2] + 1);
     }
@@ -279,64 +238,28 @@ static void write_ply(struct writing *w)
     }
 }
 
-/* Collects the vertices and indices of the GLB primitive that begins at triangle order[begin],
- * after `used` vertices of others. Returns its end. */
-static uint32_t collect_primitive(struct writing *w, uint32_t begin, uint32_t used,
-                                  float (*vertices)[6], uint32_t *indices,
-                                  struct fmt_glb_primitive *primitive)
-{
-    uint32_t i = begin;
-    *primitive = (struct fmt_glb_primitive){
-        .shaded = (const float(*)[6])vertices, .indices = indices, .plain = !w->mesh->materials};
-    do {
-        for (int k = 0; k < 3; k++) {
-            const uint32_t s = w->shaded_of[3 * (size_t)w->order[i].triangle + (size_t)k];
-            const struct shaded *from = &w->shaded[s];
-            uint32_t *number = &w->shaded_number[s]; /* 1 + that of all primitives' vertices */
-            if (*number <= used) {
-                float *to = vertices[primitive->vertex_count];
-                memcpy(to, w->mesh->positions[from->vertex], 3 * sizeof *to);
-                memcpy(to + 3, from->normal, sizeof from->normal);
-                *number = used + ++primitive->vertex_count;
-            }
-            indices[primitive->index_count++] = *number - used - 1;
-        }
-    } while (++i < w->mesh->triangle_count && !is_first_of_material(w, i));
-    return i;
-}
-
-/* Each material is a primitive. */
 static int write_glb(struct writing *w, const char *path)
 {
-    const uint64_t corners = 3 * (uint64_t)w->mesh->triangle_count;
-    const uint32_t most = w->mesh->materials ? w->header->material_count + 1 : 1;
     const double *o = w->header->origin;
-    struct fmt_glb glb = {.name = "low", .translation = {o[0], o[1], o[2]}};
-    struct fmt_glb_material *materials = NULL;
-    struct fmt_glb_primitive *primitives = NULL;
-    char(*numbers)[32] = NULL;
     float(*vertices)[6] = NULL;
-    uint32_t *indices = NULL, used = 0;
     int status = 0;
-    BSQ_TRY(BSQ_CALLOC(w->ctx, "writing a mesh", most, &materials));
-    BSQ_TRY(BSQ_CALLOC(w->ctx, "writing a mesh", most, &primitives));
-    BSQ_TRY(BSQ_CALLOC(w->ctx, "writing a mesh", most, &numbers));
-    BSQ_TRY(BSQ_ALLOC(w->ctx, "writing a mesh", corners, &vertices));
-    BSQ_TRY(BSQ_ALLOC(w->ctx, "writing a mesh", corners, &indices));
-    BSQ_TRY(BSQ_CALLOC(w->ctx, "writing a mesh", w->shaded_count, &w->shaded_number));
-    for (uint32_t i = 0; i < w->mesh->triangle_count; glb.primitive_count++) {
-        struct fmt_glb_primitive *primitive = &primitives[glb.primitive_count];
-        if (w->mesh->materials)
-            materials[glb.primitive_count].name =
-                material_name(w, w->order[i].material, numbers[glb.primitive_count]);
-        i = collect_primitive(w, i, used, vertices + used, indices + 3 * (size_t)i, primitive);
-        used += primitive->vertex_count;
+    BSQ_TRY(BSQ_ALLOC(w->ctx, "writing a mesh", w->shaded_count, &vertices));
+    for (uint32_t i = 0; i < w->shaded_count; i++) {
+        memcpy(vertices[i], w->mesh->positions[w->shaded[i].vertex], 3 * sizeof *vertices[i]);
+        memcpy(vertices[i] + 3, w->shaded[i].normal, sizeof w->shaded[i].normal);
     }
-    glb.primitives = primitives;
-    glb.materials = materials;
+    const struct fmt_glb_primitive primitive = {.shaded = (const float(*)[6])vertices,
+                                                .indices = w->shaded_of,
+                                                .vertex_count = w->shaded_count,
+                                                .index_count = 3 * w->mesh->triangle_count,
+                                                .plain = true};
+    const struct fmt_glb glb = {.name = "low",
+                                .translation = {o[0], o[1], o[2]},
+                                .primitives = &primitive,
+                                .primitive_count = w->mesh->triangle_count > 0};
     status = fmt_glb_write(w->ctx, &glb, path, w->output);
 done:
-    BSQ_FREE(w->ctx, w->shaded_number, indices, vertices, numbers, primitives, materials);
+    bsq_free(w->ctx, vertices);
     return status;
 }
 
@@ -371,11 +294,6 @@ int fmt_low_mesh_write(struct bsq_ctx *ctx, const char *path, const struct fmt_l
     BSQ_TRY(BSQ_CALLOC(ctx, what, (uint64_t)mesh->vertex_count + 1, &w.starts));
     BSQ_TRY(BSQ_ALLOC(ctx, what, corners, &w.corners));
     BSQ_TRY(BSQ_ALLOC(ctx, what, corners, &w.shaded_of));
-    BSQ_TRY(BSQ_ALLOC(ctx, what, mesh->triangle_count, &w.order));
-    for (uint32_t t = 0; t < mesh->triangle_count; t++)
-        w.order[t] = (struct ordered){mesh->materials ? mesh->materials[t] : 0, t};
-    if (mesh->materials)
-        bsq_sort(w.order, mesh->triangle_count, sizeof *w.order, compare_ordered);
     list_vertex_corners(&w);
     for (uint32_t v = 0; v < mesh->vertex_count; v++)
         most = w.starts[v + 1] - w.starts[v] > most ? w.starts[v + 1] - w.starts[v] : most;
@@ -388,7 +306,7 @@ int fmt_low_mesh_write(struct bsq_ctx *ctx, const char *path, const struct fmt_l
     else
         BSQ_TRY(write_file(&w, strcasecmp(ending_of(path), ".ply") == 0 ? write_ply : write_obj));
 done:
-    BSQ_FREE(ctx, w.order, w.buffer, w.shaded_of, w.shaded, w.around, w.corners, w.starts);
+    BSQ_FREE(ctx, w.buffer, w.shaded_of, w.shaded, w.around, w.corners, w.starts);
     if (status < 0)
         bsq_output_discard(w.output);
     else

@@ -83,17 +83,6 @@ static int keep_borders(struct clustering *c, uint32_t *kept)
         c->cells[v] = sums[v] != 0 ? STAYS | v : 0;
         *kept += sums[v] != 0;
     }
-    if (mesh->materials) {
-        uint32_t *last = c->owners; /* material + 1 of a triangle at each vertex */
-        memset(last, 0, mesh->vertex_count * sizeof *last);
-        for (uint32_t t = 0; t < mesh->triangle_count; t++)
-            for (int k = 0; k < 3; k++) {
-                const uint32_t v = mesh->triangles[t][k], material = mesh->materials[t] + 1;
-                if (last[v] != 0 && last[v] != material)
-                    c->cells[v] = STAYS | v;
-                last[v] = material;
-            }
-    }
 done:
     bsq_free(c->ctx, sums);
     return status;

@@ -64,8 +64,7 @@ static int open_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
 int vox_level_begin(const struct vox_level *from, uint64_t most, bool quadrics,
                     struct vox_level *to)
 {
-    *to = (struct vox_level){
-        .ctx = from->ctx, .beside = from->beside, .numbers = from->numbers, .quadrics = quadrics};
+    *to = (struct vox_level){.ctx = from->ctx, .beside = from->beside, .quadrics = quadrics};
     BSQ_PASS(BSQ_ALLOC(to->ctx, "groups of chunks", most, &to->parts));
     return bsq_spill_init(&to->spill, to->ctx, "simplified groups", to->beside, 1, 1, PAGE_BYTES,
                           0);
@@ -75,8 +74,6 @@ void vox_level_free(struct vox_level *level, struct vox_level *to)
 {
     bsq_spill_free(&level->spill);
     bsq_free(level->ctx, level->parts);
-    if (!to)
-        bsq_free(level->ctx, level->numbers);
     *level = to ? *to : (struct vox_level){.ctx = level->ctx};
 }
 
@@ -101,12 +98,7 @@ int vox_level_add(struct vox_level *level, const struct vox_mesh *mesh, float we
     if (level->quadrics)
         BSQ_PASS(
             bsq_spill_add(spill, 0, mesh->quadrics, mesh->vertex_count * sizeof *mesh->quadrics));
-    BSQ_PASS(
-        bsq_spill_add(spill, 0, mesh->triangles, mesh->triangle_count * sizeof *mesh->triangles));
-    if (mesh->materials)
-        return bsq_spill_add(spill, 0, mesh->materials,
-                             mesh->triangle_count * sizeof *mesh->materials);
-    return 0;
+    return bsq_spill_add(spill, 0, mesh->triangles, mesh->triangle_count * sizeof *mesh->triangles);
 }
 
 static int read_chunk(const struct vox_level *level, uint64_t index, struct vox_mesh *mesh)
@@ -122,11 +114,6 @@ static int read_chunk(const struct vox_level *level, uint64_t index, struct vox_
            part->vertices * sizeof *mesh->positions);
     memcpy(mesh->triangles + mesh->triangle_count, chunk.triangles,
            part->triangles * sizeof *mesh->triangles);
-    for (uint32_t t = 0; t < part->triangles && mesh->materials; t++) {
-        const uint32_t material = chunk.materials ? chunk.materials[t] : UINT32_MAX;
-        mesh->materials[mesh->triangle_count + t] =
-            material == UINT32_MAX ? UINT32_MAX : level->numbers[material];
-    }
 done:
     bsq_free(level->ctx, scratch);
     return status;
@@ -147,11 +134,7 @@ int vox_level_read(const struct vox_level *level, uint64_t index, struct vox_mes
     if (level->quadrics && mesh->quadrics)
         BSQ_PASS(bsq_spill_read(spill, 0, at, quadrics, mesh->quadrics + mesh->vertex_count, NULL));
     at += level->quadrics ? quadrics : 0;
-    BSQ_PASS(bsq_spill_read(spill, 0, at, triangles, mesh->triangles + mesh->triangle_count, NULL));
-    if (mesh->materials)
-        return bsq_spill_read(spill, 0, at + triangles, part->triangles * sizeof *mesh->materials,
-                              mesh->materials + mesh->triangle_count, NULL);
-    return 0;
+    return bsq_spill_read(spill, 0, at, triangles, mesh->triangles + mesh->triangle_count, NULL);
 }
 
 /* Makes a welded mesh of parts [begin, end). */
@@ -171,8 +154,7 @@ static int weld_parts(const struct vox_level *level, uint64_t begin, uint64_t en
                         "simplifying: borders of parts keep %llu triangles in one mesh, more than "
                         "it can have; choose a smaller target or drop small pieces",
                         (unsigned long long)triangles);
-    BSQ_TRY(vox_mesh_allocate(level->ctx, (uint32_t)vertices, (uint32_t)triangles, quadrics,
-                              level->numbers != NULL, mesh));
+    BSQ_TRY(vox_mesh_allocate(level->ctx, (uint32_t)vertices, (uint32_t)triangles, quadrics, mesh));
     mesh->vertex_count = mesh->triangle_count = 0;
     for (uint64_t i = begin; i < end; i++) {
         const struct vox_part *part = &level->parts[i];
@@ -290,46 +272,13 @@ done:
     return status;
 }
 
-/* Gives materials of equal names the number of the first of these. A chunk file has names if it was
- * sorted with ids. */
-static int number_materials(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
-                            uint32_t **numbers)
-{
-    const uint64_t count = header->material_count + 1U;
-    struct bsq_tally tally = {0, 0};
-    struct bsq_texts names = {0};
-    uint32_t *firsts = NULL; /* materials that brought the names */
-    int status = 0;
-    BSQ_TRY(BSQ_ALLOC(ctx, "materials", count, numbers));
-    BSQ_TRY(BSQ_ALLOC(ctx, "materials", count, &firsts));
-    for (uint32_t i = 0; i < header->material_count; i++) {
-        const char *name = header->materials[i].name;
-        const uint64_t before = names.count;
-        uint64_t number = 0;
-        (*numbers)[i] = i;
-        if (!name)
-            continue;
-        BSQ_TRY(bsq_texts_add(ctx, &tally, &names, name, &number));
-        if (number == before)
-            firsts[number] = i;
-        (*numbers)[i] = firsts[number];
-    }
-done:
-    bsq_texts_free(&names);
-    bsq_tally_release(ctx, &tally);
-    bsq_free(ctx, firsts);
-    return status;
-}
-
 int vox_reduce_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file, uint64_t target,
-                      const char *beside, bool materials, struct vox_level *level)
+                      const char *beside, struct vox_level *level)
 {
     uint64_t before = UINT64_MAX;
     int status = 0;
     *level = (struct vox_level){.ctx = ctx, .beside = beside};
     BSQ_TRY(open_chunks(ctx, file, level));
-    if (materials)
-        BSQ_TRY(number_materials(ctx, fmt_tris_get_header(file), &level->numbers));
     /* A level that takes away less than a tenth has little but borders of groups. */
     while (level->triangles > target && level->triangles < before - before / 10) {
         struct vox_level next = {.ctx = ctx};

@@ -6,7 +6,7 @@
 #include "formats/chunks/tris.h"
 #include "libvoxel/simplify/mesh.h"
 
-/* A mesh: a chunk, or bytes of a spill: positions, quadrics, triangles and materials. Its vertices
+/* A mesh: a chunk, or bytes of a spill: positions, quadrics and triangles. Its vertices
  * are welded; those at its border are also in other parts. */
 struct vox_part {
     uint64_t offset;
@@ -23,12 +23,11 @@ struct vox_level {
     struct bsq_spill spill;             /* of one stream */
     struct vox_part *parts;
     uint64_t part_count, triangles;
-    bool quadrics;     /* are in the spill */
-    uint32_t *numbers; /* of materials, for the file's ones; NULL: not kept */
+    bool quadrics; /* are in the spill */
 };
 
-/* Begins the level after another one, which hands over its materials' numbers when it is freed;
- * most: parts that it may get. The caller frees it, also after failure. Errors: BSQ_ENOMEM. */
+/* Begins the level after another one; most: parts that it may get. The caller frees it, also after
+ * failure. Errors: BSQ_ENOMEM. */
 int vox_level_begin(const struct vox_level *from, uint64_t most, bool quadrics,
                     struct vox_level *to);
 /* Frees a level of which `to` is the next one, or NULL. A level of all zeros is allowed. */

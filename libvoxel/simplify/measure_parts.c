@@ -185,7 +185,7 @@ static int measure_part(struct vox_measuring *m, uint32_t *numbers)
         BSQ_PASS(bsq_check(m->ctx));
     }
     BSQ_TRY(BSQ_ALLOC(m->ctx, "a region", count, &owned));
-    BSQ_TRY(vox_mesh_allocate(m->ctx, 3 * count, count, false, false, &part));
+    BSQ_TRY(vox_mesh_allocate(m->ctx, 3 * count, count, false, &part));
     part.vertex_count = part.triangle_count = 0;
     memset(numbers, 0, whole->vertex_count * sizeof *numbers);
     for (uint32_t t = 0; t < whole->triangle_count; t++) {
@@ -224,7 +224,7 @@ int vox_measure_parts(struct vox_measuring *m, uint32_t at_once)
     uint32_t *numbers = NULL;
     uint64_t count;
     int status = 0;
-    BSQ_TRY(vox_reduce_chunks(m->ctx, m->file, UINT64_MAX, NULL, false, &level));
+    BSQ_TRY(vox_reduce_chunks(m->ctx, m->file, UINT64_MAX, NULL, &level));
     BSQ_TRY(vox_divide_level(&level, (uint64_t)(share * (double)level.triangles), 0.5, &regions,
                              &count));
     BSQ_TRY(BSQ_ALLOC(m->ctx, "a region", whole->vertex_count, &numbers));

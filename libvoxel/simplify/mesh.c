@@ -73,7 +73,7 @@ void vox_mesh_set_quadrics(struct vox_mesh *mesh)
 }
 
 int vox_mesh_allocate(struct bsq_ctx *ctx, uint32_t vertices, uint32_t triangles, bool quadrics,
-                      bool materials, struct vox_mesh *mesh)
+                      struct vox_mesh *mesh)
 {
     int status = 0;
     *mesh = (struct vox_mesh){.vertex_count = vertices, .triangle_count = triangles};
@@ -81,8 +81,6 @@ int vox_mesh_allocate(struct bsq_ctx *ctx, uint32_t vertices, uint32_t triangles
     BSQ_TRY(BSQ_ALLOC(ctx, "a mesh", triangles, &mesh->triangles));
     if (quadrics)
         BSQ_TRY(BSQ_ALLOC(ctx, "a mesh", vertices, &mesh->quadrics));
-    if (materials)
-        BSQ_TRY(BSQ_ALLOC(ctx, "a mesh", triangles, &mesh->materials));
 done:
     if (status < 0)
         vox_mesh_free(ctx, mesh);
@@ -92,26 +90,21 @@ done:
 int vox_mesh_copy(struct bsq_ctx *ctx, const struct vox_mesh *from, uint32_t more,
                   struct vox_mesh *to)
 {
-    BSQ_PASS(vox_mesh_allocate(ctx, from->vertex_count, from->triangle_count + more, false,
-                               from->materials != NULL, to));
+    BSQ_PASS(vox_mesh_allocate(ctx, from->vertex_count, from->triangle_count + more, false, to));
     memcpy(to->positions, from->positions, from->vertex_count * sizeof *to->positions);
     memcpy(to->triangles, from->triangles, from->triangle_count * sizeof *to->triangles);
-    if (from->materials)
-        memcpy(to->materials, from->materials, from->triangle_count * sizeof *to->materials);
     return 0;
 }
 
 void vox_mesh_free(struct bsq_ctx *ctx, struct vox_mesh *mesh)
 {
-    BSQ_FREE(ctx, mesh->positions, mesh->triangles, mesh->quadrics, mesh->materials);
+    BSQ_FREE(ctx, mesh->positions, mesh->triangles, mesh->quadrics);
     *mesh = (struct vox_mesh){0};
 }
 
 void vox_mesh_move_triangle(struct vox_mesh *mesh, uint32_t to, uint32_t from)
 {
     memmove(mesh->triangles[to], mesh->triangles[from], sizeof *mesh->triangles);
-    if (mesh->materials)
-        mesh->materials[to] = mesh->materials[from];
 }
 
 /* Numbers positions in the order of their first vertices; moves these together. */
@@ -284,8 +277,6 @@ static int add_slits(struct bsq_ctx *ctx, struct vox_mesh *mesh, const struct si
         const uint32_t corners[3] = {slits[i].to, slits[i].from, thirds[i]};
         memcpy(wider.triangles[before + i], corners, sizeof corners);
     }
-    for (uint32_t i = 0; i < count && mesh->materials; i++)
-        wider.materials[before + i] = mesh->materials[slits[i].triangle];
     vox_mesh_free(ctx, mesh);
     *mesh = wider;
     return 0;

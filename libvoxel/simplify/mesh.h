@@ -20,12 +20,11 @@ struct vox_mesh {
     float (*positions)[3];
     uint32_t (*triangles)[3];
     struct vox_quadric *quadrics; /* of vertices; NULL: not carried */
-    uint32_t *materials;          /* of triangles; NULL: all are alike */
 };
 
 /* Allocates arrays for a mesh in *mesh. Errors: BSQ_ENOMEM; then *mesh is empty. */
 int vox_mesh_allocate(struct bsq_ctx *ctx, uint32_t vertices, uint32_t triangles, bool quadrics,
-                      bool materials, struct vox_mesh *mesh);
+                      struct vox_mesh *mesh);
 /* Copies a mesh without its quadrics, with space for more triangles, which are counted already.
  * Errors: BSQ_ENOMEM. */
 int vox_mesh_copy(struct bsq_ctx *ctx, const struct vox_mesh *from, uint32_t more,

@@ -218,8 +218,7 @@ static int lock_shared(struct bsq_ctx *ctx, struct region *region)
     uint32_t kept = 0;
     int status = 0;
     BSQ_TRY(BSQ_CALLOC(ctx, "locked vertices", mesh->vertex_count, &region->locked));
-    BSQ_TRY(
-        vox_mesh_allocate(ctx, 0, mesh->triangle_count, false, mesh->materials != NULL, &others));
+    BSQ_TRY(vox_mesh_allocate(ctx, 0, mesh->triangle_count, false, &others));
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         const uint32_t *corners = mesh->triangles[t];
         bool own;
@@ -230,14 +229,9 @@ static int lock_shared(struct bsq_ctx *ctx, struct region *region)
             vox_mesh_move_triangle(mesh, kept++, t);
             continue;
         }
-        memcpy(others.triangles[region->outer], corners, sizeof *others.triangles);
-        if (mesh->materials)
-            others.materials[region->outer] = mesh->materials[t];
-        region->outer++;
+        memcpy(others.triangles[region->outer++], corners, sizeof *others.triangles);
     }
     memcpy(mesh->triangles + kept, others.triangles, region->outer * sizeof *mesh->triangles);
-    if (mesh->materials)
-        memcpy(mesh->materials + kept, others.materials, region->outer * sizeof *mesh->materials);
 done:
     vox_mesh_free(ctx, &others);
     return status;
@@ -258,8 +252,8 @@ static int gather_region(const struct pass *p, struct region *region)
         most = part->vertices > most ? part->vertices : most;
     }
     BSQ_TRY(BSQ_ALLOC(p->ctx, "a region", most, &numbers));
-    BSQ_TRY(vox_mesh_allocate(p->ctx, (uint32_t)vertices, (uint32_t)triangles, false,
-                              from->numbers != NULL, &region->mesh));
+    BSQ_TRY(
+        vox_mesh_allocate(p->ctx, (uint32_t)vertices, (uint32_t)triangles, false, &region->mesh));
     region->mesh.vertex_count = region->mesh.triangle_count = 0;
     for (uint64_t i = 0; i < from->part_count; i++) {
         const struct vox_part *part = &from->parts[i];
@@ -307,8 +301,7 @@ static int write_parts(struct vox_level *to, const struct vox_mesh *mesh, uint32
     int status = 0;
     BSQ_TRY(BSQ_CALLOC(to->ctx, "a part", mesh->vertex_count, &numbers));
     BSQ_TRY(BSQ_ALLOC(to->ctx, "a part", 3 * PART_TRIANGLES, &vertices));
-    BSQ_TRY(vox_mesh_allocate(to->ctx, 3 * PART_TRIANGLES, PART_TRIANGLES, false,
-                              mesh->materials != NULL, &part));
+    BSQ_TRY(vox_mesh_allocate(to->ctx, 3 * PART_TRIANGLES, PART_TRIANGLES, false, &part));
     for (uint32_t begin = 0; begin < triangles; begin += part.triangle_count) {
         part.vertex_count = part.triangle_count = 0;
         for (uint32_t t = begin; t < triangles && part.triangle_count < PART_TRIANGLES; t++) {
@@ -323,8 +316,6 @@ static int write_parts(struct vox_level *to, const struct vox_mesh *mesh, uint32
                 }
                 corners[k] = numbers[v];
             }
-            if (mesh->materials)
-                part.materials[part.triangle_count] = mesh->materials[t];
             part.triangle_count++;
         }
         BSQ_TRY(vox_level_add(to, &part, weight));
@@ -416,7 +407,7 @@ int vox_collapse_regions(struct vox_level *level, uint64_t target, uint64_t limi
 {
     const double ratio = (double)level->triangles / (double)target;
     for (int i = 0; i < PASSES && level->triangles > target; i++) {
-        struct vox_level next = {.ctx = level->ctx, .numbers = level->numbers};
+        struct vox_level next = {.ctx = level->ctx};
         struct pass p = {
             .ctx = level->ctx, .from = level, .to = &next, .number = i, .removed = removed};
         int status = run_pass(&p, (uint64_t)((double)target * pow(ratio, powers_left[i])), limit);

@@ -44,39 +44,11 @@ static uint32_t with_shorter_ring(struct vox_rings *r, uint32_t u, uint32_t v)
 
 bool vox_rings_is_border(struct vox_rings *r, uint32_t u, uint32_t v)
 {
-    const uint32_t *materials = r->mesh->materials;
     const uint32_t near = with_shorter_ring(r, u, v), far = near == u ? v : u;
-    uint32_t count = 0, first = 0;
-    bool differ = false;
-    for (VOX_EACH_CORNER(r, near, k)) {
-        if (vox_after(r, k) != far && vox_before(r, k) != far)
-            continue;
-        if (count++ == 0)
-            first = k / VOX_RING_WORDS;
-        differ |= materials && materials[k / VOX_RING_WORDS] != materials[first];
-    }
-    return count == 1 || differ;
-}
-
-/* Flags a vertex between materials. Where they end, or more than two meet, it stays. */
-static void flag_seams(struct vox_rings *r, uint32_t v, uint8_t border)
-{
-    const uint32_t *materials = r->mesh->materials;
-    unsigned borders = 0;
-    bool differ = false;
-    for (VOX_EACH_CORNER(r, v, k))
-        differ |= materials[k / VOX_RING_WORDS] != materials[k_first / VOX_RING_WORDS];
-    if (!differ)
-        return;
-    const uint32_t mark = ++r->walk;
-    for (VOX_EACH_CORNER(r, v, k)) {
-        const uint32_t ends[2] = {vox_after(r, k), vox_before(r, k)};
-        for (int i = 0; i < 2; i++) {
-            borders += r->marks[ends[i]] != mark && vox_rings_is_border(r, v, ends[i]);
-            r->marks[ends[i]] = mark;
-        }
-    }
-    r->flags[v] |= borders == 2 ? border : border | VOX_LOCKED;
+    uint32_t count = 0;
+    for (VOX_EACH_CORNER(r, near, k))
+        count += vox_after(r, k) == far || vox_before(r, k) == far;
+    return count == 1;
 }
 
 /* Flags a vertex by how many triangles each of its edges has: marks count up to three. */
@@ -98,8 +70,6 @@ static void flag_vertex(struct vox_rings *r, uint32_t v, uint8_t border)
         }
     }
     r->flags[v] |= (single > 0 ? border : 0) | (crowded ? VOX_LOCKED : 0);
-    if (r->mesh->materials)
-        flag_seams(r, v, border);
 }
 
 int vox_rings_build(struct bsq_ctx *ctx, struct vox_mesh *mesh, bool lock_borders,
@@ -142,7 +112,7 @@ static bool has_opposite(struct vox_rings *r, uint32_t v, const uint32_t ends[2]
 }
 
 /* Returns whether a triangle at the edge (u, v) is bordered on its other two edges, so that it
- * would vanish without a trace: the last one of its piece, or of its material there. */
+ * would vanish without a trace: the last one of its piece. */
 static bool is_last(struct vox_rings *r, uint32_t u, uint32_t v, uint32_t opposite)
 {
     return (r->flags[opposite] & VOX_BORDER) && vox_rings_is_border(r, u, opposite) &&

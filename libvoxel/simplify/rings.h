@@ -12,7 +12,7 @@
 #include "libvoxel/simplify/mesh.h"
 
 enum {
-    VOX_BORDER = 1, /* of a vertex: at an edge with one triangle, or between materials */
+    VOX_BORDER = 1, /* of a vertex: at an edge with one triangle */
     VOX_LOCKED = 2, /* stays: at an edge with three triangles or more, or as options say */
     VOX_SHARED = 4, /* locked, and in other meshes, too, so that its piece stays */
     VOX_NONE = UINT32_MAX,
@@ -44,7 +44,7 @@ int vox_rings_build(struct bsq_ctx *ctx, struct vox_mesh *mesh, bool lock_border
                     struct vox_rings *rings);
 void vox_rings_free(struct vox_rings *rings);
 
-/* Returns whether an edge has one triangle, or triangles of different materials. */
+/* Returns whether an edge has one triangle. */
 bool vox_rings_is_border(struct vox_rings *r, uint32_t u, uint32_t v);
 
 /* Returns whether the link condition holds (Dey, Edelsbrunner, Guha and Nekhayev, 1999): the

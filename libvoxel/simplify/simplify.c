@@ -148,7 +148,6 @@ static int write_level(struct simplifying *s, uint32_t level)
 {
     const struct fmt_low_mesh mesh = {.positions = (const float(*)[3])s->mesh.positions,
                                       .triangles = (const uint32_t(*)[3])s->mesh.triangles,
-                                      .materials = s->mesh.materials,
                                       .vertex_count = s->mesh.vertex_count,
                                       .triangle_count = s->mesh.triangle_count};
     struct bsq_output *output;
@@ -348,8 +347,6 @@ static int open_scan(struct simplifying *s)
                   : fmt_tris_open(s->ctx, s->options->tris_path, &s->file));
     s->header = fmt_tris_get_header(s->file);
     s->report->triangles = s->header->triangle_count;
-    if (s->options->keep_materials && s->header->material_count == 0)
-        bsq_warn(s->ctx, "the scan has no materials to keep apart");
     s->report->diagonal = header_diagonal(s->header);
     return 0;
 }
@@ -366,8 +363,7 @@ static int reduce(struct simplifying *s)
         last = last < LAST_TRIANGLES ? LAST_TRIANGLES : last;
         last = last < LAST_FACTOR_LARGE * target ? LAST_FACTOR_LARGE * target : last;
     }
-    int status = vox_reduce_chunks(s->ctx, s->file, last, options->output_paths[0],
-                                   options->keep_materials, &s->level);
+    int status = vox_reduce_chunks(s->ctx, s->file, last, options->output_paths[0], &s->level);
     s->report->seconds_reduce = bsq_seconds_now() - start;
     return status;
 }
@@ -423,7 +419,7 @@ int vox_measure_mesh(struct bsq_ctx *ctx, const char *scan_path, const struct vo
     BSQ_TRY(scan ? fmt_tris_open_temp(ctx, &scan->file, &file)
                  : fmt_tris_open(ctx, scan_path, &file));
     BSQ_TRY(fmt_tris_open_temp(ctx, &mesh->file, &low));
-    BSQ_TRY(vox_reduce_chunks(ctx, low, UINT64_MAX, NULL, false, &parts));
+    BSQ_TRY(vox_reduce_chunks(ctx, low, UINT64_MAX, NULL, &parts));
     BSQ_TRY(vox_level_join(&parts, &whole));
     move_mesh(&whole, fmt_tris_get_header(low)->origin, fmt_tris_get_header(file)->origin);
     status = vox_measure(ctx, file, &whole, NULL, boxes, box_count, MEASURED_TRIANGLES, from_scan,

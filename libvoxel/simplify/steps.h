@@ -14,11 +14,10 @@
 
 /* Makes a level of about `target` triangles, or of all triangles of the scan if it has no more.
  * Groups and results depend on the scan and the target alone, not on memory or threads. `beside`:
- * an output, for temporary files. materials: the level has them, those of equal names as the first
- * of these, and vertices between them stay. The caller frees *level, also after failure. Errors:
+ * an output, for temporary files. The caller frees *level, also after failure. Errors:
  * BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA, BSQ_EINTR. */
 int vox_reduce_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file, uint64_t target,
-                      const char *beside, bool materials, struct vox_level *level);
+                      const char *beside, struct vox_level *level);
 
 /* ---- cluster.c: a first reduction of meshes that are far finer than the result ----
  *
@@ -28,7 +27,7 @@ int vox_reduce_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file, uin
  * surface, stay as they are. */
 
 /* Joins vertices of a welded mesh with quadrics, to about `share` of them, and compacts the mesh.
- * Vertices stay at open borders, at edges with more than two triangles and between materials. The
+ * Vertices stay at open borders and at edges with more than two triangles. The
  * result depends on the mesh and the share alone. Errors: BSQ_ENOMEM, BSQ_EINTR. */
 int vox_cluster(struct bsq_ctx *ctx, double share, struct vox_mesh *mesh);
 

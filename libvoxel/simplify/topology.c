@@ -259,13 +259,10 @@ bool vox_cut_cycle(struct vox_rings *r, const uint32_t cycle[3], uint32_t copies
         next = r->words[next + 1];
     }
     r->spare = next;
-    const uint32_t like = crossings[0].corners[0] / VOX_RING_WORDS;
     const uint32_t left[5] = {cycle[1], cycle[0], cycle[2], cycle[1], cycle[0]},
                    right[5] = {copies[2], copies[0], copies[1], copies[2], copies[0]};
     memcpy(&r->words[spare[0]], left, sizeof left);
     memcpy(&r->words[spare[1]], right, sizeof right);
-    for (int i = 0; i < 2 && mesh->materials; i++)
-        mesh->materials[spare[i] / VOX_RING_WORDS] = mesh->materials[like];
     r->alive += 2;
     for (uint32_t i = 0; i < 3; i++) {
         const struct crossing *x = &crossings[i];

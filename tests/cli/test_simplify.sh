@@ -132,8 +132,7 @@ json '.dropped_pieces == 0 and .meshes[0].triangles == 6'
 ok run bisque-simplify apart.obj -o apart_low.obj --triangles 4 --json
 json '.dropped_pieces == 2 and .meshes[0].triangles == 4 and .meshes[0].from_scan.max > 0.3'
 
-# Materials stay apart on request: both parts keep their areas, which share the wavy line between
-# them. Without, the scan's materials leave no trace.
+# Materials of a scan leave no trace.
 awk -v n=80 'BEGIN {
     print "mtllib two.mtl"
     for (y = 0; y <= n; y++) for (x = 0; x <= n; x++) print "v", x, y, sin(x / 7) * cos(y / 9)
@@ -148,27 +147,16 @@ awk -v n=80 'BEGIN {
     }
 }' >two.obj
 printf 'newmtl red\nKd 1 0 0\nnewmtl blue\nKd 0 0 1\n' >two.mtl
-# parts FILE: prints the names of materials and their areas as seen from above, in thousands.
-parts()
-{
-    awk '$1 == "v" { x[++n] = $2; y[n] = $3 } $1 == "usemtl" { name = $2 } $1 == "f" {
-        split($2 " " $3 " " $4, v, "[/ ]+")
-        a = v[1]; b = v[3]; c = v[5]
-        area[name] += ((x[b] - x[a]) * (y[c] - y[a]) - (x[c] - x[a]) * (y[b] - y[a])) / 2000
-    } END { for (name in area) printf "%s %.1f\n", name, area[name] }' "$1" | sort | tr '\n' ' '
-}
-ok run bisque-simplify two.obj -o two_low.obj --triangles 400 --keep-borders material
-[ "$(parts two_low.obj)" = "blue 2.4 red 4.0 " ]
-check "materials keep their areas" $?
 ok run bisque-simplify two.obj -o two_low.obj --triangles 400
-[ "$(parts two_low.obj)" = " 6.4 " ]
-check "without --keep-borders there are no materials" $?
-ok run bisque-simplify vase.tris -o warned.ply --triangles 3000 --keep-borders material
-grep -q "^$p warning: the scan has no materials to keep apart" "$err"
-check "a scan without materials is told" $?
+awk '$1 == "v" { x[++n] = $2; y[n] = $3 } $1 == "usemtl" { bad = 1 } $1 == "f" {
+    split($2 " " $3 " " $4, v, "[/ ]+")
+    a = v[1]; b = v[3]; c = v[5]
+    area += ((x[b] - x[a]) * (y[c] - y[a]) - (x[c] - x[a]) * (y[b] - y[a])) / 2
+} END { exit bad || area < 6399 || area > 6401 }' two_low.obj
+check "the area of both materials is one mesh" $?
 
-# A GLB file has the triangles of the OBJ file, a primitive for each material, and normals.
-ok run bisque-simplify two.obj -o two_low.glb --triangles 400 --keep-borders material --json
+# A GLB file has the triangles of the OBJ file, and normals.
+ok run bisque-simplify two.obj -o two_low.glb --triangles 400 --json
 python3 - two_low.glb >glb.txt <<'END'
 import json, struct, sys
 data = open(sys.argv[1], "rb").read()
@@ -182,19 +170,14 @@ def read(number):
     step = v.get("byteStride", 4 * n)
     at = v["byteOffset"] + a["byteOffset"]
     return [struct.unpack_from("<%d%s" % (n, kind), binary, at + step * i) for i in range(a["count"])]
-area, faces, off = {}, 0, 0
-for p in doc["meshes"][0]["primitives"]:
-    name = doc["materials"][p["material"]]["name"]
-    xyz, i = read(p["attributes"]["POSITION"]), [x for x, in read(p["indices"])]
-    normals = read(p["attributes"]["NORMAL"])
-    off = max([off] + [abs(sum(x * x for x in n) - 1) for n in normals])
-    faces += len(i) // 3
-    for a, b, c in zip(*(iter(xyz[k] for k in i),) * 3):
-        area[name] = area.get(name, 0) + ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])) / 2000
-print(sorted((n, round(a, 1)) for n, a in area.items()), faces, off < 1e-5)
+p, = doc["meshes"][0]["primitives"]
+xyz, i = read(p["attributes"]["POSITION"]), [x for x, in read(p["indices"])]
+off = max(abs(sum(x * x for x in n) - 1) for n in read(p["attributes"]["NORMAL"]))
+area = sum((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]) for a, b, c in zip(*(iter(xyz[k] for k in i),) * 3))
+print(round(area / 2000, 1), len(i) // 3, off < 1e-5, "material" in p)
 END
-[ "$(cat glb.txt)" = "[('blue', 2.4), ('red', 4.0)] $(jq '.meshes[0].triangles' "$out") True" ]
-check "the GLB file has both parts" $?
+[ "$(cat glb.txt)" = "6.4 $(jq '.meshes[0].triangles' "$out") True False" ]
+check "the GLB file has the mesh" $?
 
 # A flat scan, some of whose faces have no area: the outline stays, and few triangles.
 awk -v n=60 'BEGIN {

@@ -356,8 +356,6 @@ def of_chunks(runner, job, base, rng):
     if any(option.name in names for option, _ in job.scan.given) or not os.path.exists(
             os.path.join(runner.top, runner.way, chunks)):
         return False
-    if trials.value("keep-borders", job.given):  # needs ids, which chunks may lack
-        return False
     code, _ = job.run(runner, files=[chunks])
     expect_same(code, job.files(runner), base)
 

@@ -192,7 +192,7 @@ FED = [
     "no map id is baked", "map curvature: no surface", "tangents are not used",
     "scales that differ by axis", "samples too large for 16 bits", "has no effect: it needs",
     "do not all have the channel", "coarse for voxels", "vertices without a colour", "no faces with %s",
-    "no material has a value", 'material "%s": %s: %s%s', "its value is not used", "no materials to keep apart",
+    "no material has a value", 'material "%s": %s: %s%s', "its value is not used",
     "the grid will have about", "voxels have colours below 0", "--preset: the scan has no", "charts overlap",
     "triangles instead of", "in a grid of %lld", "the processor bakes it",
     "temporary file cannot be removed", "do not have the same kind", "is not kept, because %s has none",

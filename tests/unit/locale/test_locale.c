@@ -113,7 +113,6 @@ static void simplify(struct bsq_ctx *ctx, const char *tris, const char *path, do
     options.targets = &target;
     options.target_count = error > 0 ? 0 : 1;
     options.error = error;
-    options.keep_materials = true;
     expect(ctx, vox_simplify(ctx, &options, &report), expected);
 }
 

@@ -13,7 +13,7 @@ static struct vox_mesh make_grid(uint32_t n, bool closed, void (*place)(double, 
 {
     const uint32_t side = closed ? n : n + 1;
     struct vox_mesh mesh;
-    assert_int_equal(vox_mesh_allocate(ctx, side * side, 2 * n * n, true, false, &mesh), 0);
+    assert_int_equal(vox_mesh_allocate(ctx, side * side, 2 * n * n, true, &mesh), 0);
     for (uint32_t y = 0; y < side; y++)
         for (uint32_t x = 0; x < side; x++)
             place((double)x / n, (double)y / n, mesh.positions[y * side + x]);
@@ -156,7 +156,7 @@ TEST(pieces_go_by_their_distance)
     enum { SIDE = 12, COUNT = SIDE * SIDE };
     struct vox_mesh sheet = make_grid(80, false, with_spike), mesh;
     assert_int_equal(vox_mesh_allocate(ctx, sheet.vertex_count + 4 * (COUNT + 1),
-                                       sheet.triangle_count + 4 * (COUNT + 1), true, false, &mesh),
+                                       sheet.triangle_count + 4 * (COUNT + 1), true, &mesh),
                      0);
     memcpy(mesh.positions, sheet.positions, sheet.vertex_count * sizeof *mesh.positions);
     memcpy(mesh.triangles, sheet.triangles, sheet.triangle_count * sizeof *mesh.triangles);
@@ -328,9 +328,8 @@ TEST(crowded_edges_stay)
 {
     enum { N = 8 };
     struct vox_mesh sheet = make_grid(N, false, on_plane), mesh;
-    assert_int_equal(vox_mesh_allocate(ctx, 3 * sheet.vertex_count, 3 * sheet.triangle_count, true,
-                                       false, &mesh),
-                     0);
+    assert_int_equal(
+        vox_mesh_allocate(ctx, 3 * sheet.vertex_count, 3 * sheet.triangle_count, true, &mesh), 0);
     for (uint32_t s = 0; s < 3; s++) {
         for (uint32_t v = 0; v < sheet.vertex_count; v++) { /* turned around the line y = 0 */
             const float y = sheet.positions[v][1];
@@ -366,7 +365,7 @@ TEST(tetrahedra_stay)
     static const float corners[4][3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
     static const uint32_t faces[4][3] = {{0, 2, 1}, {0, 1, 3}, {0, 3, 2}, {1, 2, 3}};
     struct vox_mesh mesh;
-    assert_int_equal(vox_mesh_allocate(ctx, 4, 4, true, false, &mesh), 0);
+    assert_int_equal(vox_mesh_allocate(ctx, 4, 4, true, &mesh), 0);
     memcpy(mesh.positions, corners, sizeof corners);
     memcpy(mesh.triangles, faces, sizeof faces);
     collapse(&mesh, false, 1);
@@ -423,8 +422,7 @@ TEST(clusters_keep_pieces)
     static const uint32_t faces[4][3] = {{0, 2, 1}, {0, 1, 3}, {0, 3, 2}, {1, 2, 3}};
     struct vox_mesh sheet = make_grid(N, false, on_plane), mesh;
     const uint32_t vertices = sheet.vertex_count, triangles = sheet.triangle_count;
-    assert_int_equal(
-        vox_mesh_allocate(ctx, 2 * vertices + 4, 2 * triangles + 4, true, false, &mesh), 0);
+    assert_int_equal(vox_mesh_allocate(ctx, 2 * vertices + 4, 2 * triangles + 4, true, &mesh), 0);
     for (uint32_t s = 0; s < 2; s++) {
         for (uint32_t v = 0; v < vertices; v++) {
             memcpy(mesh.positions[s * vertices + v], sheet.positions[v], sizeof *mesh.positions);
@@ -465,7 +463,7 @@ TEST(welding)
                                           {1, -0.0f, 0}, {0, 1, 0}, {0, 0, 2}};
     static const uint32_t triangles[5][3] = {{0, 1, 2}, {3, 5, 4}, {0, 3, 6}, {3, 1, 6}, {5, 3, 4}};
     struct vox_mesh mesh;
-    assert_int_equal(vox_mesh_allocate(ctx, 7, 5, true, false, &mesh), 0);
+    assert_int_equal(vox_mesh_allocate(ctx, 7, 5, true, &mesh), 0);
     memcpy(mesh.positions, positions, sizeof positions);
     memcpy(mesh.triangles, triangles, sizeof triangles);
     vox_mesh_set_quadrics(&mesh);
@@ -485,7 +483,7 @@ TEST(slits_are_closed)
                                           {1, 2, 0}, {1, -2, 0}, {4, 0, 0}};
     static const uint32_t triangles[4][3] = {{0, 2, 3}, {2, 1, 3}, {0, 4, 1}, {4, 5, 1}};
     struct vox_mesh mesh;
-    assert_int_equal(vox_mesh_allocate(ctx, 6, 4, false, false, &mesh), 0);
+    assert_int_equal(vox_mesh_allocate(ctx, 6, 4, false, &mesh), 0);
     memcpy(mesh.positions, positions, sizeof positions);
     memcpy(mesh.triangles, triangles, sizeof triangles);
     const unsigned borders = describe(&mesh).borders;

@@ -27,8 +27,7 @@ static void make_level(struct bsq_ctx *ctx, bool closed, void (*place)(double, d
     for (unsigned first = 0; first < SIDE; first += ROWS) {
         struct vox_mesh part;
         assert_int_equal(
-            vox_mesh_allocate(ctx, (SIDE + 1) * (ROWS + 1), 2 * SIDE * ROWS, false, false, &part),
-            0);
+            vox_mesh_allocate(ctx, (SIDE + 1) * (ROWS + 1), 2 * SIDE * ROWS, false, &part), 0);
         for (unsigned y = 0, i = 0; y <= ROWS; y++)
             for (unsigned x = 0; x <= SIDE; x++)
                 place((double)(closed ? x % SIDE : x) / SIDE,
