@@ -47,7 +47,7 @@ static double cos_degrees(double angle)
 /* Returns sqrt(C^7 / (C^7 + 25^7)), the weight of the chroma correction. */
 static double chroma_weight(double chroma)
 {
-    double c7 = pow(chroma, 7);
+    const double c2 = chroma * chroma, c7 = c2 * c2 * c2 * chroma;
     return sqrt(c7 / (c7 + 6103515625.0));
 }
 

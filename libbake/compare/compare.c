@@ -276,21 +276,39 @@ static int choose_kind(struct bsq_ctx *ctx, const struct bake_compare_options *o
 
 /* ---- decoding ---- */
 
-/* Turns integers of a map of colours into linear light. */
+/* Turns integers of a map of colours into linear light. Their values come again and again, so each
+ * cell keeps the last one that fell into it. */
 static int compare_make_linear(struct bsq_ctx *ctx, const struct bake_samples *of,
                                struct fmt_exr_image *image)
 {
+    enum { CELLS_LOG2 = 12 };
+    float(*cells)[2] = NULL; /* a value, and what it is in linear light; 0 is 0 */
     const uint64_t samples = (uint64_t)image->width * image->channel_count;
     const uint32_t alpha = fmt_exr_channel(image, "A");
-    for (uint64_t y = 0; y < image->height && of->gamma != 1; y++) {
+    int status = 0;
+    if (of->gamma == 1)
+        return 0;
+    BSQ_TRY(BSQ_CALLOC(ctx, "values of a map", 1 << CELLS_LOG2, &cells));
+    for (uint64_t y = 0; y < image->height; y++) {
         float *row = image->samples + y * samples;
-        BSQ_PASS(bsq_check(ctx));
-        for (uint64_t i = 0; i < samples; i++)
-            if (i % image->channel_count != alpha)
-                row[i] = (float)(of->gamma == 0 ? bsq_srgb_to_linear((double)row[i])
-                                                : pow((double)row[i], of->gamma));
+        BSQ_TRY(bsq_check(ctx));
+        for (uint64_t i = 0; i < samples; i++) {
+            uint32_t bits;
+            memcpy(&bits, &row[i], sizeof bits);
+            float *cell = cells[bits * UINT32_C(0x9e3779b1) >> (32 - CELLS_LOG2)];
+            if (i % image->channel_count == alpha)
+                continue;
+            if (cell[0] != row[i]) {
+                cell[0] = row[i];
+                cell[1] = (float)(of->gamma == 0 ? bsq_srgb_to_linear((double)row[i])
+                                                 : pow((double)row[i], of->gamma));
+            }
+            row[i] = cell[1];
+        }
     }
-    return 0;
+done:
+    bsq_free(ctx, cells);
+    return status;
 }
 
 /* Reads up to three numbers of an attribute. Returns how many there are. */
@@ -386,6 +404,8 @@ static float error_at(const struct bake_comparison *c, uint64_t texel)
     if (c->kind == BAKE_COMPARE_DATA)
         return largest_difference(c, texel);
     read_rgb(c, texel, a, b);
+    if (memcmp(a, b, sizeof a) == 0)
+        return 0;
     return c->kind == BAKE_COMPARE_NORMAL ? angle_between(a, b) : colour_difference(a, b);
 }
 

@@ -37,7 +37,8 @@ struct image_state {
     struct bsq_ctx *ctx;
     struct fmt_rows rows;
     uint32_t width; /* of the copy */
-    float *values;  /* of each sample that the image can have */
+    bool linear;   /* colours are averaged in linear light; copies of one size have their samples */
+    float *values; /* of each sample that the image can have */
     void *row;
     float *sums;
     uint8_t *bytes; /* a row of a JPEG file */
@@ -148,9 +149,8 @@ static void round_row(struct image_state *state, uint32_t y)
     for (uint32_t x = 0; x < state->width; x++)
         for (uint32_t c = 0; c < channels; c++) {
             const uint64_t i = (uint64_t)x * channels + c;
-            const double value = state->copy->use == IMAGE_COLOR
-                                     ? bsq_linear_to_srgb((double)state->sums[i])
-                                     : (double)state->sums[i];
+            const double value =
+                state->linear ? bsq_linear_to_srgb((double)state->sums[i]) : (double)state->sums[i];
             state->bytes[i] =
                 (uint8_t)(fmin(fmax(value, 0), 1) * 255 + ((x + y) & 1 ? 0.75 : 0.25));
         }
@@ -192,6 +192,7 @@ static int start_image_copy(struct image_state *state)
                         "are no integers",
                         copy->path, copy->factor);
     state->width = info->width / copy->factor;
+    state->linear = copy->use == IMAGE_COLOR && copy->factor > 1;
     const uint64_t samples = (uint64_t)state->width * copy->channels;
     BSQ_PASS(BSQ_ALLOC(state->ctx, "an image", count, &state->values));
     BSQ_PASS(bsq_alloc(state->ctx, "an image", (uint64_t)info->width * info->channels,
@@ -200,7 +201,7 @@ static int start_image_copy(struct image_state *state)
     BSQ_PASS(BSQ_ALLOC(state->ctx, "an image", samples, &state->bytes));
     for (uint32_t i = 0; i < count; i++) {
         const double value = i / (count - 1.0);
-        state->values[i] = (float)(copy->use == IMAGE_COLOR ? bsq_srgb_to_linear(value) : value);
+        state->values[i] = (float)(state->linear ? bsq_srgb_to_linear(value) : value);
     }
     if (copy->quality > 0)
         return start_jpeg(state, height);
@@ -208,7 +209,7 @@ static int start_image_copy(struct image_state *state)
                                               .height = height,
                                               .channel_count = copy->channels,
                                               .type = FMT_UINT8,
-                                              .color = copy->use == IMAGE_COLOR};
+                                              .color = state->linear};
     return fmt_image_create(state->ctx, &fmt_png_format, copy->output, &options, &state->png);
 }
 

@@ -33,8 +33,9 @@ from .tileset import check_place, make_page, tileset
 SCAN_OF_LEAF = 1_000_000
 #: The certificates of tiles and of levels.
 PAPERS = ("tiles.json", "levels.json")
-#: Tiles whose maps are baked in one sweep over the scan.
-BATCH = 64
+#: Tiles whose maps are baked together. Those of 1024 texels fit into half of 1 GiB then: in temporary files, they cost
+#: more time than tracing on disks that discard what is freed.
+BATCH = 10
 #: Columns of rows of vertices.
 COLUMNS = (("POSITION", 0, 3), ("NORMAL", 3, 6), ("TANGENT", 6, 10), ("TEXCOORD_0", 10, 12))
 #: How GLB files are packed that are not.
