@@ -156,16 +156,18 @@ static uint32_t fill_cover_block(const struct vox_cover *cover, const struct fmt
     return t;
 }
 
-void vox_cover_add(const struct vox_cover *cover, const struct fmt_tris_chunk *chunk,
-                   uint64_t *blocks)
+int vox_cover_add(struct bsq_ctx *ctx, const struct vox_cover *cover,
+                  const struct fmt_tris_chunk *chunk, uint64_t *blocks)
 {
     struct vox_cover_block block;
     memset(blocks, 0, chunk->vertex_count * sizeof *blocks);
     for (uint32_t t = 0; t < chunk->triangle_count;) {
+        BSQ_PASS(bsq_check(ctx)); /* a block in the middle of a fan is near all of its triangles */
         t = fill_cover_block(cover, chunk, t, blocks, &block);
         vox_closest_near(cover->tree, (const float *)&block.box.low, (const float *)&block.box.high,
                          cover->height * cover->height, add_to_chain, &block);
     }
+    return 0;
 }
 
 int vox_cover_begin(struct bsq_ctx *ctx, uint32_t triangle_count, struct vox_cover *cover)

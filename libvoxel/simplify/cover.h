@@ -27,9 +27,9 @@ int vox_cover_begin(struct bsq_ctx *ctx, uint32_t triangle_count, struct vox_cov
 void vox_cover_free(struct bsq_ctx *ctx, struct vox_cover *cover);
 
 /* Adds a chunk of the scan. blocks: a number for each vertex. Thread-safe. The order of chunks does
- * not matter. */
-void vox_cover_add(const struct vox_cover *cover, const struct fmt_tris_chunk *chunk,
-                   uint64_t *blocks);
+ * not matter. Errors: BSQ_EINTR. */
+int vox_cover_add(struct bsq_ctx *ctx, const struct vox_cover *cover,
+                  const struct fmt_tris_chunk *chunk, uint64_t *blocks);
 
 /* Returns a bound for the distance of each point of a triangle from the scan; INFINITY: there is
  * none. Edges are compared by sums of 64-bit hashes, so one in 2^59 borders would not be seen. */

@@ -236,9 +236,7 @@ static int measure_triangles(const struct vox_measuring *m, const struct fmt_tri
             vox_bound_triangle(&m->tree, corners, b);
             allowed = vox_bound_allowed(b);
         }
-        if (t % 256 == 0)
-            if (bsq_check(m->ctx) < 0)
-                return BSQ_EINTR;
+        BSQ_PASS(bsq_check(m->ctx));
     }
     return 0;
 }
@@ -288,7 +286,7 @@ static int measure_chunk(void *arg, void *slot_, uint64_t sequence, unsigned wor
         return 0;
     BSQ_TRY(vox_load_chunk(m, sequence, &scratch, &chunk));
     BSQ_TRY(BSQ_ALLOC(m->ctx, "numbers of blocks", chunk.vertex_count, &of.blocks));
-    vox_cover_add(&m->cover, &chunk, of.blocks);
+    BSQ_TRY(vox_cover_add(m->ctx, &m->cover, &chunk, of.blocks));
     BSQ_TRY(vox_keep_own(m, sequence, &chunk));
     const uint32_t count = chunk.vertex_count;
     if (count == 0)

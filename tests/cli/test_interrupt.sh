@@ -166,5 +166,10 @@ $try "a bake" $(of 100) bisque-bake vase.nvdb low.obj -o 'slow_<MAP>.exr' --maps
 $try "an exact bake" $(of 100) bisque-bake vase.tris low.obj -o 'slow_<MAP>.png' --maps normal,ao --rays ao=8 --size $side
 $try "simplifying" $(of 100) bisque-simplify vase.tris -o slow.obj --triangles $((size / 5))
 $try "simplifying a fan" $(of $((size / 10))) bisque-simplify fan.obj -o slow.obj --triangles $((size / 40))
+# Blocks of a fan are near all of its triangles: it looks for each of them.
+write_fan 500 >fan.obj
+at_look 0 '' measuring bisque-simplify fan.obj -o slow.obj --triangles 500
+holds "measuring a fan of 500, it looks for an interruption $looks times" [ "$looks" -ge 3000 ]
+rm slow.obj
 $try "comparing" $(of 4) bisque-compare a.exr b.exr --heatmap slow.png
 finish
