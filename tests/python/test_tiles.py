@@ -3,11 +3,14 @@ import fcntl
 import hashlib
 import io
 import json
+import os
 import re
 import signal
 import subprocess
 import sys
+import threading
 import time
+import types
 from pathlib import Path
 
 import bisque
@@ -458,6 +461,24 @@ def test_bytes_do_not_depend_on_threads_or_interruptions(made, tmp_path):
     assert code == 0 and interrupted
     assert contents(tmp_path / "out") == contents(folder)
     assert not (tmp_path / "out" / "bisque-steps").exists()
+
+
+def test_libraries_that_unwrap_end_with_the_job(tmp_path, monkeypatch):
+    """Of each thread. A signal comes when one has begun; it would say so if it went on."""
+    begun, late = tmp_path / "begun", tmp_path / "late"
+    (tmp_path / "library").write_text(f"#!/bin/sh\n: >'{begun}'\nsleep 20\n: >'{late}'\n")
+    (tmp_path / "library").chmod(0o755)
+    monkeypatch.setattr(bisque.uv, "sys", types.SimpleNamespace(executable=str(tmp_path / "library")))
+
+    def interrupt():
+        while not begun.exists():
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt, daemon=True).start()
+    with pytest.raises(KeyboardInterrupt):
+        bisque.tiles(sphere(8, False), tmp_path / "out", tile_triangles=100, triangles=200, size=32, threads=2)
+    assert not late.exists()
 
 
 def test_parts_make_the_same_bytes(made, tmp_path, monkeypatch):

@@ -30,6 +30,15 @@ listener: ContextVar[Any] = ContextVar("listener", default=None)
 _silent: ContextVar[bool] = ContextVar("silent", default=False)
 
 
+#: When it is set, the jobs and programs of threads in this context end.
+stopping: ContextVar[threading.Event | None] = ContextVar("stopping", default=None)
+
+
+def check_stopping() -> None:
+    """Raises KeyboardInterrupt in a thread that shall end."""
+    event = stopping.get()
+    if event and event.is_set():
+        raise KeyboardInterrupt
 @contextlib.contextmanager
 def quiet() -> Any:
     """Drops warnings of jobs that the caller has had before."""
@@ -172,7 +181,7 @@ class Job:
                     begun = True
                     thread.start()
                 while not ended.wait(0.2):  # a signal need not end a wait without an end
-                    pass
+                    check_stopping()
                 break
             except BaseException as interruption:
                 interrupted = interruption

@@ -10,6 +10,7 @@ import json
 import os
 import re
 import tempfile
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -83,16 +84,23 @@ def _left(job: dict) -> dict:
 
 
 def _each(steps: Steps, stage: str, work: Callable[[int], Any], count: int, threads: int) -> list:
-    """Returns the results of `work` for each number below a count, of several threads."""
-    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
-        waiting = [pool.submit(contextvars.copy_context().run, work, i) for i in range(count)]
-        results = []
-        try:
-            for done, future in enumerate(waiting, 1):
-                results.append(future.result())
-                steps.report(stage, done, count, "tiles")
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    """Returns the results of `work` for each number below a count, of several threads. All end with the first
+    exception."""
+    stop, results = threading.Event(), []
+    token = core.stopping.set(stop)
+    try:
+        with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+            try:
+                waiting = [pool.submit(contextvars.copy_context().run, work, i) for i in range(count)]
+                for done, future in enumerate(waiting, 1):
+                    results.append(future.result())
+                    steps.report(stage, done, count, "tiles")
+            except BaseException:
+                stop.set()
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+    finally:
+        core.stopping.reset(token)
     return results
 
 

@@ -5,6 +5,7 @@ import importlib.util
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from bisque_unwrap import LIBRARIES
 
 from . import programs
-from .core import Error, Job, Progress, bake, quiet
+from .core import Error, Job, Progress, bake, check_stopping, quiet
 from .mesh import Mesh, as_mesh, parse_texels
 from .repair import connected, edge_pairs, face_normals, seams
 
@@ -41,6 +42,26 @@ STRIP_TEXELS, MOST_BEYOND = 1.5, 16
 USUAL = next((name for name in LIBRARIES if importlib.util.find_spec(name)), "uvunwrap")
 
 
+def _wait_for(command: list[str], seconds: float) -> tuple[int, str]:
+    """Runs a program. Returns its exit code and what it said. Raises TimeoutExpired."""
+    end = time.monotonic() + seconds
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+                          text=True, errors="replace", env=programs.environment()) as program:
+        try:
+            while True:
+                left = end - time.monotonic()
+                try:
+                    said = program.communicate(timeout=max(0, min(left, 0.2)))[1]
+                    return program.returncode, said
+                except subprocess.TimeoutExpired:
+                    if left <= 0:
+                        raise
+                check_stopping()
+        except BaseException:
+            program.kill()
+            raise
+
+
 def _run(mesh: Mesh, library: str, size: int, padding: int, seconds: float) -> np.ndarray:
     """Returns the texture coordinates (faces, 3, 2) that a library makes in a process of its own. Raises
     UnwrapError."""
@@ -53,14 +74,13 @@ def _run(mesh: Mesh, library: str, size: int, padding: int, seconds: float) -> n
         command = [sys.executable, "-m", "bisque_unwrap", str(source), str(target), library, str(size),
                    str(padding)]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, errors="replace",
-                                  timeout=seconds, env=programs.environment())
+            code, said = _wait_for(command, seconds)
         except subprocess.TimeoutExpired:
             raise UnwrapError(f"{library} did not unwrap {len(mesh.faces)} triangles in {seconds:g}"
                               f" s: {ADVICE.format(other=other)}") from None
-        if done.returncode != 0 or not target.exists():
-            reason = (done.stderr.strip() or f"it ended with {done.returncode}").splitlines()[-1]
-            if done.returncode == -signal.SIGKILL or "MemoryError" in reason.partition(":")[0]:
+        if code != 0 or not target.exists():
+            reason = (said.strip() or f"it ended with {code}").splitlines()[-1]
+            if code == -signal.SIGKILL or "MemoryError" in reason.partition(":")[0]:
                 raise Error(71, f"{library} had too little memory to unwrap {len(mesh.faces)} triangles")
             raise UnwrapError(f"{library} could not unwrap {len(mesh.faces)} triangles ({reason}): "
                               f"{ADVICE.format(other=other)}")
