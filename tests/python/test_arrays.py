@@ -59,6 +59,18 @@ def test_colors_of_all_types_are_one_mesh(tmp_path):
     assert len(set(made.values())) == 1
 
 
+def test_normals_of_corners_are_those_of_a_file(tmp_path):
+    """Some are given by faces of their own; colours come along."""
+    normals = np.cross(*(POINTS[FACES[:, k]] - POINTS[FACES[:, 0]] for k in (1, 2)))
+    mesh = bisque.Mesh(POINTS, FACES, normals=normals, normal_faces=np.repeat(np.arange(len(FACES))[:, None], 3, axis=1))
+    mesh.save(tmp_path / "file.obj")
+    assert chunks(mesh, tmp_path) == chunks(tmp_path / "file.obj", tmp_path)
+    smooth = bisque.Mesh(POINTS, FACES, normals=POINTS, colors=np.arange(POINTS.size).reshape(-1, 3).astype(np.uint8))
+    expected = chunks(smooth, tmp_path)
+    smooth.normal_faces = FACES.copy()
+    assert chunks(smooth, tmp_path) == expected
+
+
 MESH = bisque.Mesh
 UVS = np.zeros((len(POINTS), 2))
 
@@ -100,11 +112,20 @@ def test_what_is_wrong_is_refused_by_name(given, error, text, tmp_path):
 @pytest.mark.parametrize("how, text", [
     ({"memory": -5}, "memory"), ({"memory": "1.2.3G"}, "memory"), ({"memory": "-1G"}, "memory"),
     ({"memory": "9999999999T"}, "memory"), ({"threads": -1}, "threads"), ({"threads": 2 ** 40}, "threads"),
-    ({"threads": 1.5}, "threads"), ({"ids": "nothing"}, "ids")])
+    ({"threads": 1.5}, "threads"), ({"ids": "nothing"}, "ids"), ({"texture": "a\0b"}, "'a.*b'")])
 def test_numbers_out_of_range_are_refused_by_name(how, text, tmp_path):
     with pytest.raises(ValueError, match=f"{text}: "):
         bisque.sort((POINTS, FACES), tmp_path / "out.tris", **how)
     assert not (tmp_path / "out.tris").exists()
+
+
+@pytest.mark.parametrize("call", [
+    lambda: bisque.sort([], "a.tris"), lambda: bisque.voxelize((), "a.nvdb"), lambda: bisque.simplify([], triangles=9),
+    lambda: bisque.bake([], "low.obj"), lambda: bisque.measure("low.obj", []), lambda: bisque.asset([], "a.glb"),
+    lambda: bisque.tiles([], "tiles")])
+def test_a_list_without_a_path_is_no_scan(call):
+    with pytest.raises(ValueError, match="scan: a list without a path"):
+        call()
 
 
 def test_numbers_of_numpy_are_numbers(tmp_path):
@@ -221,6 +242,10 @@ def test_a_scene_of_trimesh_is_its_meshes(plain, tmp_path):
     ("size: 'x'", lambda scan, low: bisque.unwrap(low, size="x")),
     ("size: 'x'", lambda scan, low: bisque.check_uvs(low, "x")),
     ("hard_angle: a number", lambda scan, low: bisque.asset(scan, "a.glb", hard_angle="2")),
+    ("hard_angle: a number", lambda scan, low: bisque.simplify(scan, triangles=20, hard_angle=float("nan"))),
+    ("resolution: a whole", lambda scan, low: bisque.voxelize(scan, "a.nvdb", resolution="64")),
+    ("voxel_size: a number", lambda scan, low: bisque.voxelize(scan, "a.nvdb", voxel_size="1")),
+    ("a.glb: its name", lambda scan, low: bisque.simplify(scan, "a.glb", triangles=20)),
     ("scale: a number", lambda scan, low: bisque.asset(scan, "a.glb", scale="2")),
     ("unwrap_seconds: a number", lambda scan, low: bisque.asset(scan, "a.glb", unwrap_seconds=None))])
 def test_options_of_other_types_are_refused_by_name(name, call, scan, low):

@@ -422,11 +422,45 @@ def test_failures_have_their_codes(given, code, text, tmp_path):
     assert not out.exists()
 
 
-def test_names_of_any_bytes(tmp_path):
-    """Programs print bytes that are not UTF-8 as escapes."""
+@pytest.mark.parametrize("name, env", [(b"\xff.glb", {}), ("\xe4.glb".encode(), {"LC_ALL": "C", "PYTHONUTF8": "0"}),
+                                       (b"\xff.usdz", {})])
+def test_names_of_any_bytes(name, env, tmp_path):
+    """Programs print bytes that are not UTF-8 as escapes. Python may take all others for some, too."""
+    if name.endswith(b"usdz"):
+        pytest.importorskip("pxr")
     folder = Path(os.fsdecode(os.fsencode(tmp_path / "in") + b"\xe4\n\\x41"))
-    scan, out = write_scan(folder), folder / os.fsdecode(b"\xff.glb")
-    assert judge(run_asset(scan, "-o", out, "--triangles", 60, "--size", 32, "--report"), out)["warnings"] == []
+    scan, out = write_scan(folder), folder / os.fsdecode(name)
+    done = run_asset(scan, "-o", out, "--triangles", 60, "--size", 32, "--report", env={**os.environ, **env})
+    assert judge(done, out)["warnings"] == []
+
+
+def test_a_folder_for_temporary_maps_has_no_token(tmp_path):
+    (tmp_path / "<MAP>").mkdir()
+    scan = write_scan(tmp_path / "in")
+    env = {**os.environ, "TMPDIR": str(tmp_path / "<MAP>")}
+    done = run_asset(scan, "-o", tmp_path / "a.glb", "--triangles", 60, "--size", 32, env=env)
+    assert judge(done, tmp_path / "a.glb") is None and done.returncode == 64 and "<MAP> in the name" in done.stderr
+    done = run_asset(scan, "-o", tmp_path / "<MAP>/tiles", "--tiles")
+    assert done.returncode == 64 and "<MAP> in the name" in done.stderr and not list((tmp_path / "<MAP>").iterdir())
+
+
+def test_files_of_the_user_have_names_of_copies(tmp_path):
+    scan, out, mine = write_scan(tmp_path / "in"), tmp_path / "a.glb", tmp_path / ".a.glb.new"
+    mine.write_text("mine")
+    done = run_asset(scan, "-o", out, "--triangles", 60, "--size", 32)
+    assert judge(done, out) is None and done.returncode == 73 and str(mine) in done.stderr
+    assert mine.read_text() == "mine" and not out.exists()
+
+
+def test_links_stay(tmp_path):
+    """Also that of the certificate, by which the next run knows its files."""
+    scan, out, made = write_scan(tmp_path / "in"), tmp_path / "a.glb", tmp_path / "a_asset"
+    made.mkdir()
+    for link in (out, made / "asset.json", made / "low.obj"):
+        link.symlink_to(tmp_path / "in" / f"other_{link.name}")
+    for _ in range(2):
+        bisque.asset(scan, out, **HOW)
+        assert certificate_of(out) and all(link.is_symlink() for link in (out, made / "asset.json", made / "low.obj"))
 
 
 def test_scans_that_are_no_files(tmp_path):

@@ -410,8 +410,7 @@ def _check_inputs(output: Path, made: Path, keep: Path, inputs: list[str]) -> No
     if output.is_dir():
         raise Error(73, f"{output}: this is a folder")
     for folder in (made, keep):
-        if token := re.search("<(MAP|UDIM|UVTILE|OBJECT|MATERIAL)>", str(folder.absolute())):
-            raise ValueError(f"{folder}: {token[0]} in the name of a folder would be replaced")
+        core.refuse_tokens(folder)
     for path in inputs:
         if output.exists() and os.path.exists(path) and os.path.samefile(output, path):
             raise ValueError(f"{output}: this is an input, which would be replaced")
@@ -500,12 +499,12 @@ def publish(certificate: dict, made: Path, output: Path, note: Path, steps: Step
     own = {os.path.relpath(target, made): checksum for target, checksum in sums.items()}
     names = {target: Path(os.path.realpath(target)) for target in [*pairs, paper]}
     copies = {target: _copy_of(target) for target in names}
+    refuse_others(copies.values(), made, set())  # those that were ours are gone
     try:
         note.with_suffix(".new").write_text(json.dumps([*older, *own.items()]))
         os.replace(note.with_suffix(".new"), note)
         for target, source in pairs.items():
             target.parent.mkdir(exist_ok=True)
-            copies[target].unlink(missing_ok=True)
             try:
                 if not move:
                     raise OSError
@@ -517,7 +516,7 @@ def publish(certificate: dict, made: Path, output: Path, note: Path, steps: Step
         copies[paper].write_text(json.dumps(certificate, indent=1, default=float) + "\n")
         for copy in copies.values():
             _sync(copy)
-        paper.unlink(missing_ok=True)
+        names[paper].unlink(missing_ok=True)
         kept = {os.path.relpath(output.with_suffix(suffix), made) for suffix in (".glb", usdz.SUFFIX)}
         for name, checksum in [file for file in older if file[0] not in own.keys() | kept]:
             if (made / name).is_file() and sha256(made / name)[0] == checksum:

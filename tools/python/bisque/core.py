@@ -5,12 +5,14 @@ import contextlib
 import difflib
 import itertools
 import os
+import re
 import shutil
 import tempfile
 import threading
 import warnings
 import weakref
 from contextvars import ContextVar
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Callable, Sequence
 
@@ -28,8 +30,6 @@ Progress = Callable[[str, int, int, str], Any]
 #: files that another program opened, and for those that were missing).
 listener: ContextVar[Any] = ContextVar("listener", default=None)
 _silent: ContextVar[bool] = ContextVar("silent", default=False)
-
-
 #: When it is set, the jobs and programs of threads in this context end.
 stopping: ContextVar[threading.Event | None] = ContextVar("stopping", default=None)
 
@@ -39,6 +39,8 @@ def check_stopping() -> None:
     event = stopping.get()
     if event and event.is_set():
         raise KeyboardInterrupt
+
+
 @contextlib.contextmanager
 def quiet() -> Any:
     """Drops warnings of jobs that the caller has had before."""
@@ -148,8 +150,11 @@ class Job:
         return thing
 
     def string(self, text: Any) -> Any:
-        """Returns a C string that lives as long as the job, or NULL."""
-        return ffi.NULL if text is None else self.keep(ffi.new("char[]", os.fsencode(text)))
+        """Returns a C string that lives as long as the job, or NULL. Raises ValueError."""
+        data = os.fsencode(text or "")
+        if b"\0" in data:
+            raise ValueError(f"{text!r}: a name has no zero bytes")
+        return ffi.NULL if text is None else self.keep(ffi.new("char[]", data))
 
     def strings(self, texts: Sequence[Any]) -> Any:
         return self.keep(ffi.new("const char *[]", [self.string(text) for text in texts]))
@@ -247,7 +252,15 @@ def _is_memory(scan: Any) -> bool:
 
 
 def _paths(scan: Any) -> list[str]:
+    if not is_path(scan) and not scan:
+        raise ValueError("scan: a list without a path")
     return [os.fsdecode(scan)] if is_path(scan) else [os.fsdecode(item) for item in scan]
+
+
+def refuse_tokens(folder: str | os.PathLike) -> None:
+    """Refuses the name of a folder of maps of which the library would replace a part, by ValueError."""
+    if token := re.search("<(MAP|UDIM|UVTILE|OBJECT|MATERIAL)>", os.path.abspath(folder)):
+        raise ValueError(f"{folder}: {token[0]} in the name of a folder would be replaced")
 
 
 class _Source:
@@ -275,11 +288,22 @@ class _Source:
             to += end - begin
 
 
+def _joined(mesh: Mesh) -> Mesh:
+    """Returns a mesh whose normals are those of its vertices. One with several normals is there as many times."""
+    if mesh.normals is None or mesh.normal_faces is None or mesh.normal_faces is mesh.faces:
+        return mesh
+    pairs = mesh.faces.astype(np.int64) * len(mesh.normals) + mesh.normal_faces.astype(np.int64)
+    pairs, faces = np.unique(pairs, return_inverse=True)
+    vertices, normals = np.divmod(pairs, len(mesh.normals))
+    colors = None if mesh.colors is None else mesh.colors[vertices]
+    return replace(mesh, vertices=mesh.vertices[vertices], faces=faces.reshape(-1, 3), colors=colors,
+                   normals=mesh.normals[normals], normal_faces=None)
+
+
 def _source(job: Job, scan: Any) -> Any:
     """Makes a scan in memory an input of the library: a PLY file whose bytes are made on demand."""
-    mesh = as_mesh(scan)
-    colors = None if mesh.colors is None else mesh.colors[:, :3]
-    normals = mesh.normals if mesh.normal_faces is None or mesh.normal_faces is mesh.faces else None
+    mesh = _joined(as_mesh(scan))
+    colors, normals = None if mesh.colors is None else mesh.colors[:, :3], mesh.normals
     kind = getattr(getattr(scan, "visual", None), "kind", None)
     if kind == "face":
         job.warnings.append("mesh in memory: colours of faces are not read: write it to a file, such as "
@@ -349,7 +373,7 @@ def _sort(job: Job, scan: Any, output: str, texture: Any = None, ids: str = "non
     options.tris_path = job.string(output)
     options.texture_path = job.string(texture)
     options.ids = _word("ids", ids, ("none", "material", "object", "color"))
-    names, every = channels, channels == "all"
+    names, every = channels.split(",") if isinstance(channels, str) else channels, channels == "all"
     if every:
         names = [_text(lib.fmt_channel_at(i).name) for i in itertools.takewhile(lib.fmt_channel_at, itertools.count())]
     options.channels = job.keep(ffi.new("struct vox_channel[]", [
@@ -414,7 +438,9 @@ def voxelize(scan: Any, output: str | os.PathLike, *, resolution: int = 2048,
         lib.vox_voxelize_defaults(options)
         options.tris_path = job.string(_chunks(job, scan, scan_normals))
         options.grid_path = job.string(os.fspath(output))
-        options.resolution = 0 if voxel_size else resolution
+        if voxel_size is not None:
+            check_real("voxel_size", voxel_size, 0, np.inf)
+        options.resolution = 0 if voxel_size else check_number("resolution", resolution, 1, 2 ** 32 - 1)
         options.voxel_size = voxel_size or 0
         options.scan_normals = _word("scan_normals", scan_normals, NORMALS)
         options.channels = job.string(channels)
@@ -464,6 +490,9 @@ def simplify(scan: Any, output: str | os.PathLike | None = None, *, triangles: i
     distances both ways. Warns of more triangles than asked for. Raises Error, ValueError."""
     if (triangles is None) == (error is None):
         raise ValueError("simplify: either triangles or error is needed")
+    if output and not os.fsdecode(output).lower().endswith((".obj", ".ply")):
+        raise ValueError(f"{output}: its name must end in .obj or .ply")
+    check_real("hard_angle", hard_angle, 0, 180)
     target = 0 if triangles is None else check_triangles(triangles, 4)
     least, of_diagonal = (0, False) if error is None else parse_amount("error", error)
     component = parse_amount("min_component", str(min_component).removesuffix("%") + "%")[0]
@@ -706,6 +735,8 @@ def bake(high: Any, low: Any, maps: Sequence[str] = (), *, size: int | str | tup
                 raise ValueError(f"size: texels, or (width, height), are needed, not {size!r}")
             o.width, o.height = map(parse_texels, sides)
             o.rows_only = output is None and not format
+            if output is None:
+                refuse_tokens(folder or job.temporary(""))
             o.output_path = job.string(output or os.path.join(
                 folder or job.temporary(""), f"<MAP>.{format or 'exr'}"))
             glb_path = os.path.join(folder or "", "asset.glb") if glb is True else glb

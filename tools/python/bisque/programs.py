@@ -26,6 +26,7 @@ def environment() -> dict[str, str]:
 
 def path_of(printed: str) -> str:
     """Returns the path that a program printed. Bytes that are not UTF-8 are there as \\xHH."""
+    printed = os.fsdecode(printed.encode())  # whatever names are in here
     if os.path.lexists(printed):
         return printed
     return re.sub(r"\\x([89a-f][0-9a-f])", lambda found: os.fsdecode(bytes.fromhex(found[1])), printed)
@@ -45,8 +46,8 @@ def run(name: str, words: Sequence[Any], progress: Callable | None, warn: Callab
     known. keep_open: descriptors that it holds, such as that of a lock. Raises Error."""
     command = [BIN / name, "--json", "--progress", "json", *words]
     lines: list[str] = []
-    with tempfile.TemporaryFile("w+") as printed, subprocess.Popen(
-            [os.fspath(w) if isinstance(w, os.PathLike) else str(w) for w in command], text=True,
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as printed, subprocess.Popen(
+            [os.fspath(w) if isinstance(w, os.PathLike) else str(w) for w in command], encoding="utf-8",
             errors="replace", stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.PIPE,
             env=environment(), pass_fds=keep_open) as program:
         try:

@@ -367,6 +367,7 @@ def tiles(scan: Any, output: str | os.PathLike, *, tile_triangles: int = 10_000,
     for path in [*paths, *([os.fsdecode(texture)] if texture else [])]:
         if output.resolve() in Path(path).resolve().parents:
             raise ValueError(f"{path}: the files in {output} are replaced; move it elsewhere")
+    core.refuse_tokens(output)
     if output.exists() and not output.is_dir():
         raise Error(73, f"{output}: this is no folder")
     if share and not (output / Folder.NAME / "steps.json").exists():

@@ -5,6 +5,7 @@ bytes, as its specification says, and have no times."""
 from __future__ import annotations
 
 import importlib.util
+import os
 import struct
 import zipfile
 from importlib import metadata
@@ -117,8 +118,12 @@ def write_usdz(source: Path, target: Path) -> None:
     made, images = _define_material(stage, "/Asset/Material", glb, material)
     mesh.CreateDoubleSidedAttr(material.get("doubleSided", False))
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(made)
-    layer = target.with_suffix(".usdc")
-    stage.GetRootLayer().Export(str(layer))
+    folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:  # the library takes no names that are not UTF-8
+        stage.GetRootLayer().Export(f"/proc/self/fd/{folder}/asset.usdc")
+    finally:
+        os.close(folder)
+    layer = target.with_name("asset.usdc")
     with zipfile.ZipFile(target, "w") as package:
         for name, data in {"asset.usdc": layer.read_bytes(), **images}.items():
             info = zipfile.ZipInfo(name)
