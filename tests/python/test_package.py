@@ -87,6 +87,20 @@ def test_colors_and_normals_come_along(scan, tmp_path):
     assert report["has_colors"] and report["has_normals"]
 
 
+def test_files_that_are_no_meshes_are_told(tmp_path):
+    points, faces = sphere(4, False)
+    scan, chunks, grid = tmp_path / "a.obj", tmp_path / "a.tris", tmp_path / "a.nvdb"
+    bisque.Mesh(points, faces).save(scan)
+    bisque.sort(scan, chunks)
+    bisque.voxelize(chunks, grid, resolution=16)
+    for given, text in (([chunks, scan], "a.tris: a chunk file is no mesh"), (grid, "a.nvdb: a grid has no triangles")):
+        for call in (bisque.sort, bisque.asset):
+            with pytest.raises(bisque.Error, match=text) as caught:
+                call(given, tmp_path / "out.glb")
+            assert caught.value.status == 65
+    assert {path.name for path in tmp_path.iterdir()} == {"a.obj", "a.tris", "a.nvdb"}
+
+
 @pytest.mark.parametrize("given, error, text", [
     ("missing.obj", bisque.Error, "missing.obj: No such file"),
     ((np.zeros((3, 2)), np.zeros((1, 3), int)), ValueError, "vertices"),

@@ -355,6 +355,15 @@ def _kind(job: Job, path: str) -> int:
     return int(kind[0])
 
 
+def _check_meshes(job: Job, paths: list[str]) -> None:
+    """Refuses grids and chunk files, which are no meshes. Raises Error."""
+    advice = {lib.FMT_KIND_NVDB: "a grid has no triangles; give the scan or its chunk file (.tris)",
+              lib.FMT_KIND_TRIS: "a chunk file is no mesh; bisque-voxelize a.tris b.obj -o all.tris joins both"}
+    for path in filter(os.path.isfile, paths):
+        if (kind := _kind(job, path)) in advice:
+            raise Error(65, f"{path}: {advice[kind]}")
+
+
 def _sort(job: Job, scan: Any, output: str, texture: Any = None, ids: str = "none",
           channels: Sequence[str] | str = (), embed_textures: bool = False,
           scan_normals: str = "auto", temporary: Any = ffi.NULL) -> dict:
@@ -369,6 +378,7 @@ def _sort(job: Job, scan: Any, output: str, texture: Any = None, ids: str = "non
         options.sources = job.keep(ffi.new("const struct bsq_source *[]", [_source(job, scan)]))
     else:
         paths = _paths(scan)
+        _check_meshes(job, paths)
         options.scan_paths, options.scan_count = job.strings(paths), len(paths)
     options.tris_path = job.string(output)
     options.texture_path = job.string(texture)
