@@ -168,11 +168,28 @@ def test_small_files_are_read_or_refused_at_every_length(tmp_path):
         assert refused > len(data) / 2
 
 
-def test_a_mesh_that_cannot_be_saved_leaves_no_file(tmp_path):
-    (tmp_path / "a.obj.new").symlink_to("/dev/full")
+def test_a_mesh_that_cannot_be_saved_leaves_no_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(bisque.mesh.secrets, "token_hex", lambda _: "0")
+    (tmp_path / "a.obj.0.new").symlink_to("/dev/full")
     with pytest.raises(OSError, match="No space left on device: .*a.obj'") as caught:
         bisque.Mesh(np.eye(3), np.arange(3)[None]).save(tmp_path / "a.obj")
     assert caught.value.errno == errno.ENOSPC and not list(tmp_path.iterdir())
+
+
+def test_low_meshes_of_other_formats_are_told(tmp_path):
+    (tmp_path / "a.glb").write_bytes(b"glTF\2\0\0\0")
+    with pytest.raises(bisque.Error, match="a.glb: no faces; OBJ files are read here"):
+        bisque.mesh.read_mesh(str(tmp_path / "a.glb"))
+
+
+def test_a_texture_is_known_by_its_palette():
+    from bisque.asset import _digest
+    from PIL import Image
+
+    images = [Image.new("P", (4, 4)) for _ in range(2)]
+    for image, color in zip(images, ((255, 0, 0), (0, 0, 255))):
+        image.putpalette(color)
+    assert len({_digest(bisque.Mesh(POINTS, FACES, texture=image)) for image in images}) == 2
 
 
 def test_numbers_that_only_python_has_are_refused(tmp_path):

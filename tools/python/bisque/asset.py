@@ -51,7 +51,8 @@ def _digest(mesh: Mesh) -> str:
             digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
             digest.update(np.ascontiguousarray(array).data)
     if mesh.texture is not None:
-        digest.update(f"{mesh.texture.mode} {mesh.texture.size}".encode() + mesh.texture.tobytes())
+        digest.update(f"{mesh.texture.mode} {mesh.texture.size} {mesh.texture.getpalette()}".encode())
+        digest.update(mesh.texture.tobytes())
     return digest.hexdigest()
 
 

@@ -6,6 +6,7 @@ import numbers
 import operator
 import os
 import re
+import secrets
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -120,7 +121,7 @@ class Mesh:
         corners = np.stack([np.asarray(c, np.int64) + 1 for c in columns], axis=2)
         line = "f " + " ".join([pattern] * 3) + "\n"
         lines.append(line * len(corners) % tuple(corners.ravel().tolist()))
-        temporary = f"{os.fspath(path)}.new"
+        temporary = f"{os.fsdecode(path)}.{secrets.token_hex(4)}.new"  # a name that no file has
         try:
             with open(temporary, "w", encoding="utf-8") as file:
                 file.writelines(lines)
@@ -348,7 +349,8 @@ def _read_obj(path: str) -> Mesh:
     indices = [np.asarray([c[k] for c in corners], np.int64).reshape(-1, 3)
                if corners and all(c[k] is not None for c in corners) else None for k in range(3)]
     if indices[0] is None:
-        raise Error(65, f"{path}: no faces" if not corners else f"{path}: a corner has no vertex")
+        other = "" if path.lower().endswith(".obj") else "; OBJ files are read here, and PLY files of bisque-simplify"
+        raise Error(65, f"{path}: a corner has no vertex" if corners else f"{path}: no faces{other}")
     mesh = Mesh(np.asarray(rows["v"], float).reshape(-1, 3), indices[0])
     if indices[1] is not None:
         mesh.uvs, mesh.uv_faces = np.asarray(rows["vt"], float).reshape(-1, 2), indices[1]
