@@ -98,7 +98,7 @@ small_disk()
 mkdir disk
 if unshare --map-root-user --mount mount -t tmpfs -o size=1m tmpfs disk 2>/dev/null; then
     small_disk 8 vase.obj -o disk/a.nvdb --resolution 512
-    refused_like 74 '^bisque-voxelize: disk/a\.tris: No space left on device$'
+    refused_like 74 '^bisque-voxelize: disk/a\.tris: writing: No space left on device$'
     holds "nothing was written" [ ! -s here.txt ]
 
     # The grid's size is estimated when the chunk file is complete; that file stays, for another attempt.
