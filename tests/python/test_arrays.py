@@ -62,7 +62,7 @@ def test_colors_of_all_types_are_one_mesh(tmp_path):
 def test_normals_of_corners_are_those_of_a_file(tmp_path):
     """Some are given by faces of their own; colours come along."""
     normals = np.cross(*(POINTS[FACES[:, k]] - POINTS[FACES[:, 0]] for k in (1, 2)))
-    mesh = bisque.Mesh(POINTS, FACES, normals=normals, normal_faces=np.repeat(np.arange(len(FACES))[:, None], 3, axis=1))
+    mesh = bisque.Mesh(POINTS, FACES, normals=normals, normal_faces=np.arange(FACES.size).reshape(-1, 3) // 3)
     mesh.save(tmp_path / "file.obj")
     assert chunks(mesh, tmp_path) == chunks(tmp_path / "file.obj", tmp_path)
     smooth = bisque.Mesh(POINTS, FACES, normals=POINTS, colors=np.arange(POINTS.size).reshape(-1, 3).astype(np.uint8))
