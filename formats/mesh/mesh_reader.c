@@ -213,6 +213,8 @@ int fmt_mesh_open_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from
 {
     struct fmt_mesh_reader *reader;
     *out = NULL;
+    if (from->path_count == 0)
+        return bsq_fail(ctx, BSQ_EUSAGE, "no mesh file is given");
     BSQ_PASS(BSQ_CALLOC(ctx, "mesh reader", 1, &reader));
     reader->ctx = ctx;
     int status = open_sources(reader, from);

@@ -388,7 +388,7 @@ def test_a_signal_while_python_imports(kind, module, tmp_path):
 def test_results_that_cannot_be_printed_are_an_error(tmp_path):
     scan, out = write_scan(tmp_path / "in"), tmp_path / "a.glb"
     command = " ".join(f"'{word}'" for word in command_of((scan, "-o", out, "--triangles", 60, "--size", 32)))
-    for more in (">/dev/full", "--json >/dev/full", ">&-"):
+    for more in (">/dev/full", "--json >/dev/full", ">&-", "--help >/dev/full"):
         done = subprocess.run(["sh", "-c", f"{command} {more}"], capture_output=True, text=True)
         assert done.returncode == 74 and done.stderr.startswith("bisque-asset: standard output: "), done.stderr
         assert len(done.stderr.splitlines()) == 1

@@ -97,4 +97,10 @@ FIXTURE_TEST(memory_may_run_out_anywhere)
     sort_grid_free(&g);
 }
 
+FIXTURE_TEST(a_scan_of_no_file_is_refused)
+{
+    assert_int_equal(sort_files(f, NULL, 0), BSQ_EUSAGE);
+    assert_string_equal(bsq_error(f->ctx), "no mesh file is given");
+}
+
 RUN_TESTS(NULL, NULL)

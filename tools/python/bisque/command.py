@@ -175,12 +175,16 @@ def _lines_of(a: argparse.Namespace, certificate: dict) -> list[str]:
 
 def _print(a: argparse.Namespace, certificate: dict) -> None:
     """Prints what was made. Raises OSError."""
-    lines = [json.dumps(certificate, default=float)] if a.json else _lines_of(a, certificate)
+    _write("\n".join([json.dumps(certificate, default=float)] if a.json else _lines_of(a, certificate)) + "\n")
+
+
+def _write(text: str) -> None:
+    """Writes a text, and what was printed before, to standard output. Raises OSError."""
     if not sys.stdout:
         raise OSError(errno.EBADF, os.strerror(errno.EBADF), "standard output")
     try:
         sys.stdout.reconfigure(errors="backslashreplace")
-        sys.stdout.write("\n".join(lines) + "\n")
+        sys.stdout.write(text)
         sys.stdout.flush()
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left must not fail again at the end
@@ -209,7 +213,11 @@ def _make(arguments: list[str], screen: _Screen) -> None:
                     "\0".join(["", *arguments, ""])).split("\0")[1:-1]
     parser = _parser()
     parser.refuse_unknown(joined)
-    a = parser.parse_args(joined)
+    try:
+        a = parser.parse_args(joined)
+    except SystemExit:
+        _write("")  # --help and --version
+        raise
     make, options = _options_of(a, parser)
     screen.kind = a.progress
     if a.progress == "auto":
