@@ -229,6 +229,20 @@ TEST(noise_goes)
     vox_mesh_free(ctx, &mesh);
 }
 
+/* Vertices of a coarse mesh lie outside of what is round, but the mesh that fits it encloses as
+ * much. */
+TEST(fitting_keeps_volume)
+{
+    const uint32_t n = 24, all = 2 * n * n;
+    for (uint32_t part = 2; part < 6; part++) {
+        struct vox_mesh mesh = make_grid(n, true, on_torus);
+        const double volume = describe(&mesh).volume;
+        collapse(&mesh, false, all / part);
+        assert_true(fabs(describe(&mesh).volume / volume - 1) < 0.002);
+        vox_mesh_free(ctx, &mesh);
+    }
+}
+
 /* A spike has little volume, but its tip is far from all else. */
 TEST(tips_stay)
 {
