@@ -284,7 +284,8 @@ def test_files_that_cannot_get_their_names_leave_no_certificate(tmp_path, monkey
         assert not (tmp_path / "a_asset/asset.json").exists() and not list(tmp_path.rglob(".*.new"))
         if number % 3 == 0:  # what has its name already goes with the next asset, and so does the older one
             shutil.copytree(tmp_path, copy := tmp_path.with_name("copy"))
-            (copy / "a_asset/.normal.png.new").write_text("of a killed one")
+            for name in (".normal.png.new", ".asset.json.new"):
+                (copy / "a_asset" / name).write_text("of a killed one")
             bisque.asset(copy / "in/scan.obj", copy / "a.glb", maps=("normal",), **HOW)
             assert {path.name for path in (copy / "a_asset").iterdir()} == {
                 "asset.json", "low.obj", "low.mtl", "normal.png", "preview.png"}

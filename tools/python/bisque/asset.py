@@ -438,8 +438,8 @@ def older_files(made: Path, output: Path, note: Path, paper: str) -> set[tuple[s
     found = set()
     try:
         found = {(name, checksum) for name, checksum in json.loads(note.read_text())}
-        for name, _ in found:
-            _copy_of(made / name).unlink(missing_ok=True)
+        for path in [made / paper, *(made / name for name, _ in found)]:
+            _copy_of(path).unlink(missing_ok=True)
     except (OSError, ValueError, TypeError):
         pass  # there is none
     try:
