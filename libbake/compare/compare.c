@@ -404,7 +404,7 @@ static float error_at(const struct bake_comparison *c, uint64_t texel)
     if (c->kind == BAKE_COMPARE_DATA)
         return largest_difference(c, texel);
     read_rgb(c, texel, a, b);
-    if (memcmp(a, b, sizeof a) == 0)
+    if (a[0] == b[0] && a[1] == b[1] && a[2] == b[2])
         return 0;
     return c->kind == BAKE_COMPARE_NORMAL ? angle_between(a, b) : colour_difference(a, b);
 }
