@@ -45,7 +45,7 @@ enum bake_position_in {
 
 /** How viewers use the opacity in a GLB file. */
 enum bake_alpha {
-    BAKE_ALPHA_BLEND, /**< Mixed with what lies behind, by the opacity. */
+    BAKE_ALPHA_BLEND, /**< Texels hide what is behind the surface as far as the opacity says. */
     BAKE_ALPHA_MASK   /**< Texels with an opacity below 0.5 are not drawn. */
 };
 

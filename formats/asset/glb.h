@@ -26,7 +26,7 @@ enum fmt_glb_texture {
 enum fmt_glb_alpha {
     FMT_GLB_OPAQUE, /* not at all */
     FMT_GLB_MASK,   /* texels with an alpha below 0.5 are not drawn */
-    FMT_GLB_BLEND   /* mixed with what lies behind, by alpha: 1 is opaque */
+    FMT_GLB_BLEND   /* texels hide what is behind the surface as far as alpha says: 1 hides all */
 };
 
 struct fmt_glb_material {
